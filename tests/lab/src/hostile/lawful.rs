@@ -82,6 +82,12 @@ impl Log {
         longest
     }
 
+    /// Pictures a second between two instants.
+    pub(crate) fn pictures_per_s(&self, from: Instant, to: Instant) -> f64 {
+        let count = self.pictures.iter().filter(|at| (from..to).contains(*at)).count();
+        count as f64 / to.duration_since(from).as_secs_f64().max(1e-3)
+    }
+
     /// Why connections ended between two instants.
     pub(crate) fn losses(&self, from: Instant, to: Instant) -> Vec<String> {
         let within = self.ends.iter().filter(|(at, _)| (from..to).contains(at));

@@ -1,7 +1,7 @@
 //! Attacks on a server, one after the other, each once with a well-behaved client and once without one.
 
 use crate::hostile::HostileOptions;
-use crate::hostile::attacks::{Attack, Effort, Target};
+use crate::hostile::attacks::{Attack, CONTROL, Effort, Target};
 use crate::hostile::lawful::Lawful;
 use crate::hostile::process::Server;
 use crate::hostile::report::AttackReport;
@@ -46,13 +46,18 @@ pub(crate) fn attack_all(
     };
     let lifetime_s = 300.0 + attacks.len() as f64 * 4.0 * (options.seconds + PATIENCE.as_secs_f64());
     let mut arena = Arena { scene, identity: folder.join("server"), lifetime_s, server: None };
-    let mut reports = Vec::new();
-    for attack in attacks {
+    let mut reports: Vec<AttackReport> = Vec::new();
+    // The control first: others are judged by it.
+    let (control, others): (Vec<&Attack>, Vec<&Attack>) =
+        attacks.iter().partition(|attack| attack.name == CONTROL);
+    for attack in control.into_iter().chain(others) {
         for while_serving in [true, false] {
             if !while_serving && attack.leaves_place && !options.always_alone {
                 continue;
             }
             let mut report = arena.attack(attack, options.seconds, while_serving)?;
+            let control = reports.iter().find(|it| it.attack == CONTROL && it.while_serving);
+            report.control_per_s = control.and_then(|it| it.attacked_per_s).filter(|_| attack.burns_core);
             report.judge(&options.bars);
             if options.verbose {
                 println!("{report}");
@@ -82,7 +87,7 @@ impl Arena {
         let program = &self.server()?.program;
         let memory_before_bytes = program.memory_bytes().unwrap_or(0);
         let watch = program.watch_memory();
-        let quiet_pause = while_serving.then_some(served.longest_pause);
+        let quiet = while_serving.then_some((served.longest_pause, served.pictures_per_s));
         let served = Some(served.client).filter(|_| while_serving); // otherwise it leaves now
         let start = Instant::now();
         let target = Target { server: address, until: start + duration };
@@ -98,9 +103,13 @@ impl Arena {
             attack: attack.name,
             what: attack.what,
             while_serving,
+            is_served: !attack.leaves_place,
             effort,
-            quiet_pause_ms: quiet_pause.map(as_ms),
+            quiet_pause_ms: quiet.map(|(pause, _)| as_ms(pause)),
             attacked_pause_ms: log.as_ref().map(|log| as_ms(log.longest_pause(start, end))),
+            quiet_per_s: quiet.map(|(_, per_s)| per_s),
+            attacked_per_s: log.as_ref().map(|log| log.pictures_per_s(start, end)),
+            control_per_s: None,
             losses: log.map(|log| log.losses(start, end)).unwrap_or_default(),
             arrival_ms: arrival.map(as_ms),
             arrival_counts: expects_arrival && duration >= LONG_ENOUGH,
@@ -152,6 +161,7 @@ fn attack_beside(
 struct ServedInPeace {
     client: Lawful,
     longest_pause: Duration,
+    pictures_per_s: f64,
 }
 
 /// Has a lawful client served, and watches it for a while.
@@ -163,6 +173,7 @@ fn serve_first(server: SocketAddr, quiet: Duration) -> anyhow::Result<ServedInPe
     std::thread::sleep(SETTLING);
     let from = Instant::now();
     std::thread::sleep(quiet);
-    let longest_pause = client.log().longest_pause(from, Instant::now());
-    Ok(ServedInPeace { client, longest_pause })
+    let (log, to) = (client.log(), Instant::now());
+    let (longest_pause, pictures_per_s) = (log.longest_pause(from, to), log.pictures_per_s(from, to));
+    Ok(ServedInPeace { client, longest_pause, pictures_per_s })
 }

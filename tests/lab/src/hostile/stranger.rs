@@ -6,9 +6,11 @@
 use anyhow::{Context, ensure};
 use bytes::{Bytes, BytesMut};
 use quinn_proto as proto;
+use quinn_proto::congestion::{Controller, ControllerFactory};
 use quinn_proto::crypto::rustls::QuicClientConfig;
 use quinn_proto::{ConnectionHandle, DatagramEvent, Dir, VarInt};
 use shadecast_transport::{SERVER_NAME, believing_client_crypto};
+use std::any::Any;
 use std::io;
 use std::net::{IpAddr, Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::{Arc, OnceLock};
@@ -25,7 +27,51 @@ const SEND_WINDOW_BYTES: u64 = 256 << 10;
 /// The longest sleep of a wait, so that what comes is answered soon.
 const NAP: Duration = Duration::from_micros(500);
 
-fn client_config() -> anyhow::Result<proto::ClientConfig> {
+/// How a stranger takes the network's hints.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Manners {
+    /// Sends less where packets are lost.
+    Polite,
+    /// Sends as if nothing were ever lost.
+    Greedy,
+}
+
+/// A congestion controller that controls nothing.
+struct Unbounded;
+
+/// A window that is never full, bytes.
+const UNBOUNDED_BYTES: u64 = 1 << 40;
+
+impl Controller for Unbounded {
+    fn on_congestion_event(&mut self, _now: Instant, _sent: Instant, _is_persistent: bool, _lost_bytes: u64) {
+    }
+
+    fn on_mtu_update(&mut self, _new_mtu: u16) {}
+
+    fn window(&self) -> u64 {
+        UNBOUNDED_BYTES
+    }
+
+    fn clone_box(&self) -> Box<dyn Controller> {
+        Box::new(Self)
+    }
+
+    fn initial_window(&self) -> u64 {
+        UNBOUNDED_BYTES
+    }
+
+    fn into_any(self: Box<Self>) -> Box<dyn Any> {
+        self
+    }
+}
+
+impl ControllerFactory for Unbounded {
+    fn build(self: Arc<Self>, _now: Instant, _current_mtu: u16) -> Box<dyn Controller> {
+        Box::new(Self)
+    }
+}
+
+fn client_config(manners: Manners) -> anyhow::Result<proto::ClientConfig> {
     static CRYPTO: OnceLock<Arc<QuicClientConfig>> = OnceLock::new();
     let crypto = match CRYPTO.get() {
         Some(crypto) => crypto.clone(),
@@ -37,6 +83,9 @@ fn client_config() -> anyhow::Result<proto::ClientConfig> {
     let mut transport = proto::TransportConfig::default();
     // Never idle, and with little buffered here, so that what was taken was sent.
     transport.send_window(SEND_WINDOW_BYTES).initial_rtt(Duration::from_millis(20)).max_idle_timeout(None);
+    if manners == Manners::Greedy {
+        transport.congestion_controller_factory(Arc::new(Unbounded));
+    }
     let mut config = proto::ClientConfig::new(crypto);
     config.transport_config(Arc::new(transport));
     Ok(config)
@@ -59,17 +108,27 @@ pub(crate) struct Stranger {
 impl Stranger {
     /// Begins a connection to a server on this machine.
     pub(crate) fn connect(server: SocketAddr) -> anyhow::Result<Self> {
-        Self::connect_from(server, Ipv4Addr::LOCALHOST)
+        Self::connect_with(server, Manners::Polite)
+    }
+
+    /// The same with other manners.
+    pub(crate) fn connect_with(server: SocketAddr, manners: Manners) -> anyhow::Result<Self> {
+        Self::begin(server, Ipv4Addr::LOCALHOST, manners)
     }
 
     /// The same from another of the loopback network's addresses.
     pub(crate) fn connect_from(server: SocketAddr, from: Ipv4Addr) -> anyhow::Result<Self> {
+        Self::begin(server, from, Manners::Polite)
+    }
+
+    fn begin(server: SocketAddr, from: Ipv4Addr, manners: Manners) -> anyhow::Result<Self> {
         ensure!(server.ip().is_loopback() && from.is_loopback(), "{server} is not on this machine");
         let socket = UdpSocket::bind((from, 0)).context("opening a stranger's socket")?;
         socket.set_nonblocking(true)?;
         let endpoint_config = Arc::new(proto::EndpointConfig::default());
         let mut endpoint = proto::Endpoint::new(endpoint_config, None, true, None);
-        let (handle, conn) = endpoint.connect(Instant::now(), client_config()?, server, SERVER_NAME)?;
+        let (handle, conn) =
+            endpoint.connect(Instant::now(), client_config(manners)?, server, SERVER_NAME)?;
         Ok(Self {
             socket,
             server,

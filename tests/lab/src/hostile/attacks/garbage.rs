@@ -7,6 +7,8 @@ use std::time::Duration;
 
 /// Datagrams in one go.
 const BURST: usize = 32;
+/// Different ones.
+const BURSTS: usize = 64;
 /// From one burst to the next: some 6,000 datagrams a second.
 const INTERVAL: Duration = Duration::from_millis(5);
 /// The largest datagram, bytes.
@@ -24,18 +26,28 @@ const BEGINNINGS: [&[u8]; 6] = [
 ];
 
 pub(super) fn attack(target: &Target) -> anyhow::Result<Effort> {
+    flood(target, INTERVAL)
+}
+
+pub(super) fn unpaced(target: &Target) -> anyhow::Result<Effort> {
+    flood(target, Duration::ZERO)
+}
+
+fn flood(target: &Target, interval: Duration) -> anyhow::Result<Effort> {
     let socket = raw_socket(IpAddr::V4(Ipv4Addr::LOCALHOST))?;
     let mut effort = Effort::default();
     let mut state = 1;
+    // Made before, so that sending is all that takes time.
+    let made: Vec<_> = (0..BURST * BURSTS).map(|_| datagram(&mut state)).collect();
+    let mut bursts = made.chunks(BURST).cycle();
     while !target.is_over() {
-        for _ in 0..BURST {
-            let datagram = datagram(&mut state);
-            if socket.send_to(&datagram, target.server).is_ok() {
+        for datagram in bursts.next().into_iter().flatten() {
+            if socket.send_to(datagram, target.server).is_ok() {
                 effort.datagrams += 1;
                 effort.bytes += datagram.len() as u64;
             }
         }
-        target.sleep(INTERVAL);
+        target.sleep(interval);
     }
     Ok(effort)
 }

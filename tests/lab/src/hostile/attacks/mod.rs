@@ -4,7 +4,9 @@
 //! A target's address enters, and a time to end. Counts of connections and answers leave ([`Effort`]). Nothing here knows other
 //! viewers and bars.
 
+mod connects;
 mod empty_messages;
+mod flood;
 mod garbage;
 mod half_open;
 mod hellos;
@@ -14,7 +16,8 @@ mod small_messages;
 mod streams;
 
 use crate::hostile::lawful;
-use crate::hostile::stranger::Stranger;
+use crate::hostile::stranger::{Manners, Stranger};
+use flood::{Flood, Kind};
 use serde::Serialize;
 use shadecast_protocol::message::{ClientHello, ClientMessage};
 use shadecast_protocol::wire::frame_control;
@@ -37,8 +40,13 @@ pub struct Attack {
     pub what: &'static str,
     /// Whether a lawful client that comes during the attack must be served: the attackers have no claim to the place.
     pub leaves_place: bool,
+    /// Whether it takes all of one core of this machine, as [`CONTROL`] does.
+    pub burns_core: bool,
     run: fn(&Target) -> anyhow::Result<Effort>,
 }
+
+/// What the others are compared with that take a core of this machine.
+pub const CONTROL: &str = "to-nobody";
 
 /// All of them.
 pub const ATTACKS: &[Attack] = &[
@@ -46,63 +54,142 @@ pub const ATTACKS: &[Attack] = &[
         name: "hellos",
         what: "hellos and heads whose numbers cannot be served",
         leaves_place: false,
+        burns_core: false,
         run: hellos::attack,
     },
     Attack {
         name: "empty-messages",
         what: "15 MB of empty control messages before any hello",
         leaves_place: true,
+        burns_core: true,
         run: empty_messages::attack,
     },
     Attack {
         name: "small-messages",
         what: "control messages of a few bytes at full speed, instead of a hello",
         leaves_place: true,
+        burns_core: true,
         run: small_messages::before_hello,
     },
     Attack {
         name: "small-messages-after-hello",
         what: "control messages of a few bytes at full speed, after a lawful hello",
         leaves_place: false,
+        burns_core: true,
         run: small_messages::after_hello,
     },
     Attack {
         name: "holding",
         what: "connections without a hello that say one byte every 200 ms",
         leaves_place: true,
+        burns_core: false,
         run: holding::attack,
     },
     Attack {
         name: "half-open",
         what: "200 handshakes a second that are never finished",
         leaves_place: true,
+        burns_core: false,
         run: half_open::unproven,
     },
     Attack {
         name: "half-open-proven",
         what: "200 handshakes a second that prove their address and are never finished",
         leaves_place: false,
+        burns_core: false,
         run: half_open::proven,
     },
     Attack {
         name: "reconnects",
         what: "lawful hellos on one connection after the other, each left at once",
         leaves_place: false,
+        burns_core: true,
         run: reconnects::attack,
     },
     Attack {
         name: "streams",
         what: "256 large streams that a client has no business to send",
         leaves_place: false,
+        burns_core: true,
         run: streams::attack,
     },
     Attack {
         name: "garbage",
         what: "datagrams that are no QUIC, or pretend to be",
         leaves_place: true,
+        burns_core: false,
         run: garbage::attack,
     },
+    Attack {
+        name: CONTROL,
+        what: "the control: datagrams at full speed to a socket that nobody reads",
+        leaves_place: true,
+        burns_core: true,
+        run: flood::to_nobody,
+    },
+    Attack {
+        name: "garbage-unpaced",
+        what: "datagrams that are no QUIC, or pretend to be, at full speed",
+        leaves_place: true,
+        burns_core: true,
+        run: garbage::unpaced,
+    },
+    Attack {
+        name: "pings-slow",
+        what: "201 pings a second on one connection, before any hello",
+        leaves_place: true,
+        burns_core: false,
+        run: |target| flood::attack(target, &Flood { connections: 1, per_s: Some(201), ..PINGS }),
+    },
+    Attack {
+        name: "pings",
+        what: "pings at full speed on eight connections, before any hello",
+        leaves_place: true,
+        burns_core: true,
+        run: |target| flood::attack(target, &PINGS),
+    },
+    Attack {
+        name: "pings-greedy",
+        what: "the same without regard to congestion",
+        leaves_place: true,
+        burns_core: true,
+        run: |target| flood::attack(target, &Flood { manners: Manners::Greedy, ..PINGS }),
+    },
+    Attack {
+        name: "junk-slow",
+        what: "20 datagrams a second that cannot be decoded, on each of eight connections",
+        leaves_place: true,
+        burns_core: false,
+        run: |target| flood::attack(target, &Flood { kind: Kind::Junk, per_s: Some(20), ..PINGS }),
+    },
+    Attack {
+        name: "junk-greedy",
+        what: "datagrams that cannot be decoded at full speed on eight connections, without regard to congestion",
+        leaves_place: true,
+        burns_core: true,
+        run: |target| flood::attack(target, &Flood { kind: Kind::Junk, manners: Manners::Greedy, ..PINGS }),
+    },
+    Attack {
+        name: "pings-after-hello",
+        what: "pings at full speed without regard to congestion, after a lawful hello",
+        leaves_place: false,
+        burns_core: true,
+        run: |target| {
+            let kind = Kind::PingsAfterHello;
+            flood::attack(target, &Flood { kind, connections: 1, manners: Manners::Greedy, ..PINGS })
+        },
+    },
+    Attack {
+        name: "connects",
+        what: "1,000 handshakes a second, each left as soon as it is done",
+        leaves_place: true,
+        burns_core: true,
+        run: connects::attack,
+    },
 ];
+
+/// Eight polite connections that know no pause.
+const PINGS: Flood = Flood { kind: Kind::Pings, connections: 8, per_s: None, manners: Manners::Polite };
 
 /// Whom to attack, and until when.
 pub(crate) struct Target {
