@@ -326,6 +326,13 @@ impl LinkSchedule {
         Self::parse(&text).map_err(|wrong| LinkError::Schedule { path: path.into(), wrong })
     }
 
+    /// A link that changes at these times, nanoseconds after its first use: ascending, the first one 0.
+    pub fn of_steps(steps: Vec<(i64, LinkProfile)>) -> Self {
+        assert!(steps.first().is_some_and(|(start_ns, _)| *start_ns == 0), "a link begins at 0");
+        assert!(steps.is_sorted_by(|a, b| a.0 < b.0), "a link changes from step to step");
+        Self { steps }
+    }
+
     /// A link that carries nothing for `length_ns` nanoseconds from `start_ns` on, both after its first use and more than 0.
     pub fn interrupted(profile: LinkProfile, start_ns: i64, length_ns: i64) -> Self {
         let silent = LinkProfile { loss: 1.0, ..profile.clone() };
@@ -542,6 +549,15 @@ impl<T> Link<T> {
     /// When the next datagram arrives, nanoseconds.
     pub fn next_event_ns(&self) -> Option<i64> {
         self.in_flight.peek().map(|Reverse(packet)| packet.order.0)
+    }
+
+    /// How long what is sent at `now_ns` waits before the bottleneck of one direction, nanoseconds.
+    pub fn queue_ns(&self, direction: Direction, now_ns: i64) -> i64 {
+        let lane = match direction {
+            Direction::ToClient => &self.to_client,
+            Direction::ToServer => &self.to_server,
+        };
+        lane.busy_until_ns.saturating_sub(now_ns).max(0)
     }
 
     /// What became of the datagrams of one direction so far.

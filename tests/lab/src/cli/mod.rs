@@ -12,6 +12,7 @@ mod device;
 #[cfg(feature = "libavcodec")]
 mod encoders;
 mod hostile;
+mod links;
 mod live;
 mod merge_traces;
 mod motion;
@@ -68,6 +69,8 @@ enum Command {
     Still(run::RunArgs),
     /// Measures slow devices: when the first picture comes, when a whole one, and what is missing afterwards
     Slow(slow::SlowArgs),
+    /// Measures links that are bad in one way each: queues, ages of pictures, pauses
+    Links(links::LinksArgs),
     /// Runs server and client as two processes in real time; measures the first picture, updates, frames and holes of each second
     Live(live::LiveArgs),
     /// Measures the paper's Table 1 and Figure 4: rates of server and client for 9 to 169 dragons, and how the cost grows
@@ -188,6 +191,7 @@ pub(crate) fn run() -> anyhow::Result<()> {
         Command::Skinning(args) => skinning::run(&args),
         Command::Still(args) => still::run(args),
         Command::Slow(args) => slow::run(args),
+        Command::Links(args) => links::run(args),
         Command::Live(args) => live::run(args),
         Command::Hostile(args) => hostile::run(args),
         Command::Neighbours { seconds, json } => neighbours::run(seconds, json.as_deref()),

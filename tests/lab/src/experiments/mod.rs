@@ -11,6 +11,7 @@ pub mod detail;
 #[cfg(feature = "libavcodec")]
 pub mod encoders;
 pub mod headset_off;
+pub mod links;
 pub mod live;
 pub mod motion_table;
 pub mod paper_size;

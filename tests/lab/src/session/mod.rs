@@ -55,6 +55,7 @@ use shadecast_server::world::World;
 use shadecast_trace::Trace;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{Event, PeerId};
+use shadecast_transport::link::LinkCounts;
 use shadecast_transport::{Direction, ExpectedIdentity, LinkSchedule, Pair, ServerIdentity};
 use std::borrow::Cow;
 use std::convert::Infallible;
@@ -413,6 +414,26 @@ impl Lab {
     /// Server and client, for who drives each by itself from now on: what they share a clock for is over.
     pub fn apart(&mut self) -> (&mut Server, &mut Seat, &mut Client) {
         (&mut self.server, &mut self.lines[0].seat, &mut self.client)
+    }
+
+    /// How long what the server sends now waits before the bottleneck of the first viewer's link, nanoseconds.
+    pub fn queue_ns(&self) -> i64 {
+        let pair = &self.lines[0].pair;
+        pair.link().queue_ns(Direction::ToClient, pair.now_ns())
+    }
+
+    /// What became of the datagrams to the first viewer.
+    pub fn link_counts(&self) -> LinkCounts {
+        self.lines[0].pair.link().counts(Direction::ToClient)
+    }
+
+    /// When the updates of the first viewer began, in their order, nanoseconds of the virtual clock.
+    pub fn updates_begun_ns(&self) -> Vec<i64> {
+        let Schedule { decisions, headless, .. } = &self.server.schedule;
+        let begun = decisions.iter().filter(|(at_ns, line, step)| {
+            *line == 0 && *step == UpdateStep::Begin.name() && !headless.contains(&(*at_ns, 0))
+        });
+        begun.map(|(at_ns, ..)| *at_ns).collect()
     }
 
     /// The other viewers.
