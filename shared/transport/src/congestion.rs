@@ -44,6 +44,12 @@ const STARTUP_QUEUE: Duration = Duration::from_millis(10);
 const MAX_WINDOW_BYTES: u64 = 64 << 20;
 /// Round trips count as at least this: on a shorter path delayed acknowledgements and late threads rule.
 const MIN_ROUND_TRIP: Duration = Duration::from_millis(5);
+/// Where round trips stay longer than a full window explains, the queue is drained to see whether it is one: at most so often.
+const QUESTION_PERIOD: Duration = Duration::from_secs(2);
+/// A window that draining leaves so much of tells nothing.
+const MOST_DRAINED_PART: f64 = 0.6;
+/// A round trip that draining did not shorten counts for so long.
+const LOADED_RTT_LIFETIME: Duration = Duration::from_secs(5);
 /// How long a shortest round trip counts before it is measured anew.
 const MIN_RTT_LIFETIME: Duration = Duration::from_secs(10);
 /// Share of lost bytes above which loss counts as congestion: radio links lose up to 5 %, in bursts.
@@ -96,7 +102,46 @@ enum Mode {
     /// Window from the model.
     Steady,
     /// Less than one product of rate and round trip, so that the queue drains and the round trip shows.
-    Drain { until: Instant },
+    Drain(Drain),
+}
+
+/// Draining a queue, to see what it has been.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Drain {
+    /// What is sent from then on finds what the smaller window leaves of it.
+    drained_from: Instant,
+    until: Instant,
+    /// A round trip with the window of before, and that window, bytes.
+    before: Duration,
+    before_bytes: u64,
+    /// Round trips of what was sent since it was drained.
+    rtt_sum: Duration,
+    rtt_count: u32,
+}
+
+impl Drain {
+    fn begin(now: Instant, before: Duration, before_bytes: u64) -> Self {
+        let (drained_from, until) = (now + before, now + 3 * before);
+        Self { drained_from, until, before, before_bytes, rtt_sum: Duration::ZERO, rtt_count: 0 }
+    }
+
+    fn note(&mut self, sent: Instant, rtt: Duration) {
+        if sent >= self.drained_from {
+            self.rtt_sum += rtt;
+            self.rtt_count += 1;
+        }
+    }
+
+    /// A round trip without a queue, seconds. A queue's part falls as the window does, the path's part stays: with the window's part `r`
+    /// of before, `before = path + queue` and `mean = path + r * queue`. A window that is nearly the smallest makes no queue.
+    fn path_s(&self, drained_bytes: u64) -> Option<f64> {
+        let mean_s = self.rtt_sum.checked_div(self.rtt_count)?.as_secs_f64();
+        let part = drained_bytes as f64 / self.before_bytes.max(1) as f64;
+        if part > MOST_DRAINED_PART {
+            return Some(mean_s);
+        }
+        Some(((mean_s - part * self.before.as_secs_f64()) / (1.0 - part)).max(0.0))
+    }
 }
 
 /// The controller; see the module.
@@ -129,6 +174,9 @@ pub struct Steady {
     round_end: Option<Instant>,
     min_rtt: Option<Duration>,
     min_rtt_at: Option<Instant>,
+    /// What a round trip takes without a queue, where that is more than the shortest one, and when this was found.
+    loaded_rtt: Option<(Duration, Instant)>,
+    drained_at: Option<Instant>,
     /// Shortest round trip of the current round.
     round_min_rtt: Option<Duration>,
     sampled_acked: u64,
@@ -157,6 +205,8 @@ impl Steady {
             round_end: None,
             min_rtt: None,
             min_rtt_at: None,
+            loaded_rtt: None,
+            drained_at: None,
             round_min_rtt: None,
             sampled_acked: 0,
             sampled_lost: 0,
@@ -174,8 +224,15 @@ impl Steady {
 
     /// Bytes under way that keep the bottleneck busy without a queue.
     fn path_bytes(&self) -> Option<f64> {
-        let round_trip = self.min_rtt?.max(MIN_ROUND_TRIP);
+        let round_trip = self.path_rtt()?.max(MIN_ROUND_TRIP);
         (self.rate() > 0.0).then(|| self.rate() * round_trip.as_secs_f64())
+    }
+
+    /// A round trip without a queue. Over radio packets wait for others and for the air, so that it is longer under load than the shortest
+    /// one; the window would starve by that.
+    fn path_rtt(&self) -> Option<Duration> {
+        let loaded = self.loaded_rtt.map_or(Duration::ZERO, |(rtt, _)| rtt);
+        self.min_rtt.map(|min| min.max(loaded))
     }
 
     /// Keeps `sample` in a queue that falls in rate and rises in round, so that its front is the best.
@@ -185,6 +242,13 @@ impl Steady {
         }
         self.rates.push_back(sample);
         while self.rates.front().is_some_and(|best| best.round + RATE_ROUNDS < sample.round) {
+            self.rates.pop_front();
+        }
+    }
+
+    /// Keeps those of the last two round trips, at least the newest.
+    fn forget_old_rates(&mut self) {
+        while self.rates.len() > 1 && self.rates.front().is_some_and(|best| best.round + 2 < self.round) {
             self.rates.pop_front();
         }
     }
@@ -210,19 +274,51 @@ impl Steady {
             (self.min_rtt, self.min_rtt_at) = (Some(rtt), Some(now));
             // A path that is not full has no queue to drain.
             if self.round_is_window_limited && self.mode == Mode::Steady {
-                self.mode = Mode::Drain { until: now + 2 * rtt };
+                self.drain(now, rtt);
             }
         }
     }
 
-    fn end_round(&mut self) {
+    fn drain(&mut self, now: Instant, rtt: Duration) {
+        self.mode = Mode::Drain(Drain::begin(now, rtt, self.in_flight_bytes));
+        self.drained_at = Some(now);
+    }
+
+    /// Whether draining would tell a queue from a path that takes so long. `fastest` is the shortest round trip of a round with a full window.
+    fn is_questionable(&self, now: Instant, fastest: Duration) -> bool {
+        let is_over = |since: Option<Instant>, period| since.is_none_or(|at| now.duration_since(at) > period);
+        let explained = self.path_rtt().map(|path| path.mul_f64(STEADY_GAIN) + STARTUP_QUEUE);
+        let is_unexplained = explained.is_some_and(|explained| fastest > explained);
+        let is_old = self.loaded_rtt.is_some_and(|(_, at)| now.duration_since(at) > LOADED_RTT_LIFETIME);
+        self.mode == Mode::Steady && (is_unexplained || is_old) && is_over(self.drained_at, QUESTION_PERIOD)
+    }
+
+    fn end_drain(&mut self, now: Instant, drain: Drain) {
+        let path_s = drain.path_s(self.limit());
+        self.mode = Mode::Steady;
+        let Some(path_s) = path_s else { return };
+        let path = Duration::from_secs_f64(path_s).min(drain.before);
+        if path < drain.before / 2 {
+            // It was a queue: older rates are those of another path.
+            self.forget_old_rates();
+        }
+        self.loaded_rtt = self.min_rtt.filter(|min| path > *min).map(|_| (path, now));
+    }
+
+    fn end_round(&mut self, now: Instant) {
         self.round += 1;
         let is_window_limited = std::mem::take(&mut self.round_is_window_limited);
         let rate = self.rate();
-        let queued = match (self.round_min_rtt.take(), self.min_rtt) {
+        let fastest = self.round_min_rtt.take();
+        let queued = match (fastest, self.min_rtt) {
             (Some(now), Some(min)) => now > min.mul_f64(1.5) + STARTUP_QUEUE,
             _ => false,
         };
+        if let Some(fastest) =
+            fastest.filter(|fastest| is_window_limited && self.is_questionable(now, *fastest))
+        {
+            self.drain(now, fastest);
+        }
         if let Mode::Startup { best_rate, rounds_without_growth } = &mut self.mode
             && is_window_limited
         {
@@ -248,9 +344,7 @@ impl Steady {
         match self.mode {
             Mode::Startup { .. } => self.startup_window,
             Mode::Steady => steady.unwrap_or(INITIAL_WINDOW_BYTES),
-            Mode::Drain { .. } => {
-                self.path_bytes().map_or(INITIAL_WINDOW_BYTES, |bytes| (bytes * 0.5) as u64)
-            }
+            Mode::Drain(_) => self.path_bytes().map_or(INITIAL_WINDOW_BYTES, |bytes| (bytes * 0.5) as u64),
         }
     }
 
@@ -331,7 +425,11 @@ impl Controller for Steady {
         if !self.is_answered_for(sent) {
             self.sampled_acked += bytes;
         }
-        self.note_rtt(now, now.saturating_duration_since(sent));
+        let round_trip = now.saturating_duration_since(sent);
+        if let Mode::Drain(drain) = &mut self.mode {
+            drain.note(sent, round_trip);
+        }
+        self.note_rtt(now, round_trip);
         if self.last_acked_sent.is_none_or(|last| last < sent) {
             self.last_acked_sent = Some(sent);
         }
@@ -362,10 +460,12 @@ impl Controller for Steady {
         }
         if self.round_end.is_some_and(|end| batch.sent >= end) {
             self.round_end = Some(now);
-            self.end_round();
+            self.end_round(now);
         }
-        if matches!(self.mode, Mode::Drain { until } if now >= until) {
-            self.mode = Mode::Steady;
+        if let Mode::Drain(drain) = self.mode
+            && now >= drain.until
+        {
+            self.end_drain(now, drain);
         }
         self.judge_loss(now);
     }

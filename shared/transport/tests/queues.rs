@@ -1,0 +1,107 @@
+//! What a stream of pictures makes of the queue before a bottleneck, in virtual time.
+
+use shadecast_transport::pair::SERVER_ADDR;
+use shadecast_transport::{
+    Direction, Endpoint, EndpointConfig, Event, ExpectedIdentity, LinkProfile, LinkSchedule, Pair, PeerId,
+    ServerIdentity,
+};
+
+const MS: i64 = 1_000_000;
+const S: i64 = 1_000 * MS;
+const PERIOD_NS: i64 = 33_333_333;
+
+/// Pictures at 30 Hz, withheld where more than two would wait behind what may be under way, as the server does.
+struct Stream {
+    pair: Pair,
+    peer: PeerId,
+    picture_bytes: usize,
+    /// By picture that was sent: the queue before the bottleneck then, milliseconds.
+    queues_ms: Vec<f64>,
+    arrived_bytes: u64,
+}
+
+impl Stream {
+    fn start(link: impl Into<LinkSchedule>, mbit_s: f64, seed: u64) -> Self {
+        let config = |salt| EndpointConfig { seed: Some(seed ^ salt), ..EndpointConfig::default() };
+        let server = Endpoint::server(&ServerIdentity::from_seed(seed).unwrap(), config(1)).unwrap();
+        let mut pair = Pair::new(server, Endpoint::client(config(2)), link, seed);
+        pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+        let mut peer = None;
+        while peer.is_none() {
+            peer = pair.step_to_events(5 * S).into_iter().find_map(|(end, event)| match (end, event) {
+                (Direction::ToServer, Event::Connected { peer, .. }) => Some(peer),
+                _ => None,
+            });
+        }
+        let picture_bytes = (mbit_s * 1e6 / 8.0 * PERIOD_NS as f64 * 1e-9) as usize;
+        Self { pair, peer: peer.unwrap(), picture_bytes, queues_ms: Vec::new(), arrived_bytes: 0 }
+    }
+
+    /// Goes on until `until_ns`; median and most of the queue from `settled_ns` on, milliseconds, and what arrived from then on, Mbit/s.
+    fn until(&mut self, settled_ns: i64, until_ns: i64) -> (f64, f64, f64) {
+        let mut settled_bytes = None;
+        while self.pair.now_ns() < until_ns {
+            let stats = self.pair.server.stats(self.peer).unwrap();
+            if stats.unacknowledged_bytes <= stats.window_bytes + 2 * self.picture_bytes as u64 {
+                self.pair.server.send_stream(self.peer, vec![0; self.picture_bytes], 0).unwrap();
+            }
+            let next_ns = self.pair.now_ns() + PERIOD_NS;
+            while self.pair.now_ns() < next_ns {
+                for (_, event) in self.pair.step_to_events(next_ns.min(self.pair.now_ns() + 5 * MS)) {
+                    let Event::Stream { bytes, .. } = event else { continue };
+                    self.arrived_bytes += bytes.len() as u64;
+                }
+                let queue_ns = self.pair.link().queue_ns(Direction::ToClient, self.pair.now_ns());
+                if self.pair.now_ns() >= settled_ns {
+                    settled_bytes.get_or_insert(self.arrived_bytes);
+                    self.queues_ms.push(queue_ns as f64 / MS as f64);
+                }
+            }
+        }
+        let mut queues_ms = std::mem::take(&mut self.queues_ms);
+        queues_ms.sort_by(f64::total_cmp);
+        let mbit = (self.arrived_bytes - settled_bytes.unwrap_or(0)) as f64 * 8e-6
+            / ((until_ns - settled_ns) as f64 * 1e-9);
+        (queues_ms[queues_ms.len() / 2], queues_ms[queues_ms.len() - 1], mbit)
+    }
+}
+
+fn profile(text: &str) -> LinkProfile {
+    LinkProfile { queue_ns: 250 * MS, ..text.parse().unwrap() }
+}
+
+#[test]
+fn a_router_queue_is_short_two_seconds_after_each_change_of_the_rate() {
+    const STEP: i64 = 8 * S;
+    let rates = [100, 8, 50, 100];
+    let steps =
+        rates.iter().zip(0..).map(|(rate, n)| (n * STEP, profile(&format!("latency=10ms,rate={rate}mbit"))));
+    for wanted_mbit in [20.0, 60.0, 150.0] {
+        let mut stream = Stream::start(LinkSchedule::of_steps(steps.clone().collect()), wanted_mbit, 1);
+        for (rate, n) in rates.iter().zip(0..) {
+            stream.until(n * STEP, n * STEP + 2 * S);
+            let (queue_ms, _, mbit) = stream.until(n * STEP + 2 * S, (n + 1) * STEP);
+            let context = format!("{wanted_mbit} over {rate} Mbit/s: {queue_ms} ms, {mbit} Mbit/s");
+            assert!(queue_ms < 60.0, "{context}");
+            assert!(mbit > 0.8 * wanted_mbit.min(f64::from(*rate)), "{context}");
+        }
+    }
+}
+
+#[test]
+fn a_path_that_takes_longer_under_load_is_not_starved() {
+    for (link, rate_mbit) in [
+        ("latency=23ms,jitter=20ms,rate=100mbit", 100.0),
+        ("latency=5ms,jitter=5ms,rate=100mbit", 100.0),
+        ("latency=25ms,jitter=25ms,loss=1%,rate=300mbit", 150.0),
+    ] {
+        for (wanted_mbit, seed) in [(20.0_f64, 1), (150.0, 1), (150.0, 2), (150.0, 3)] {
+            let mut stream = Stream::start(profile(link), wanted_mbit, seed);
+            stream.until(0, 2 * S);
+            let (queue_ms, _, mbit) = stream.until(2 * S, 12 * S);
+            let context = format!("{wanted_mbit} over {link}: {queue_ms} ms, {mbit} Mbit/s");
+            assert!(mbit > 0.8 * wanted_mbit.min(rate_mbit), "{context}");
+            assert!(queue_ms < 100.0, "{context}");
+        }
+    }
+}
