@@ -19,8 +19,10 @@ const LATE_NS: i64 = 100_000_000;
 const LONGEST_ROUND_TRIP: Duration = Duration::from_secs(1);
 /// The link is measured only over at least this long a time in which something waited for it, nanoseconds.
 const MEASURE_NS: i64 = 300_000_000;
-/// A measured rate counts for so long after something last waited, nanoseconds.
+/// A measured rate counts for so long after something last waited, nanoseconds. Meanwhile the link is taken to carry so many times as much
+/// with each second: where it does not, something waits again, and where it does, what is sent grows with it and not at once.
 const RATE_LIFETIME_NS: i64 = 10_000_000_000;
+const RATE_GROWTH: f64 = 1.25;
 /// On a slow link an update brings new geometry for this part of a second, so that its picture is not far behind.
 const GEOMETRY_S: f64 = 1.0;
 /// The same for samples, in one step of the time grid: three fifths of what the link carries meanwhile.
@@ -231,9 +233,10 @@ impl UpdateGate {
         Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6 })
     }
 
-    /// What the link carries, bytes a second, where it was too slow a moment ago.
+    /// What the link is taken to carry, bytes a second, where it was too slow a moment ago.
     pub(crate) fn rate_bytes_s(&self, now_ns: i64) -> Option<f64> {
-        self.rate.filter(|(_, at_ns)| now_ns - at_ns <= RATE_LIFETIME_NS).map(|(rate, _)| rate)
+        let (rate, at_ns) = self.rate.filter(|(_, at_ns)| now_ns - at_ns <= RATE_LIFETIME_NS)?;
+        Some(rate * RATE_GROWTH.powf((now_ns - at_ns) as f64 * 1e-9))
     }
 
     /// Takes note of what has arrived, and measures the link while something waits for it.

@@ -137,6 +137,25 @@ fn geometry_is_bounded_only_while_the_link_is_known_to_be_slow() {
 }
 
 #[test]
+fn a_link_that_gets_faster_is_used_a_quarter_more_with_each_second_and_never_at_once() {
+    let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(1e6));
+    run(&mut gate, &mut link, 10, [40_000, 80_000]);
+    let slow = gate.rate_bytes_s(link.now_ns).expect("it is slow");
+    assert!((0.8e6..1.2e6).contains(&slow), "{slow}");
+    link.bytes_s = 10e6;
+    // What waits goes first, and is measured.
+    run(&mut gate, &mut link, 1, [10_000, 20_000]);
+    let mut last = gate.rate_bytes_s(link.now_ns).expect("it was slow a moment ago");
+    for second in 1..=5 {
+        run(&mut gate, &mut link, 1, [10_000, 20_000]);
+        let rate = gate.rate_bytes_s(link.now_ns).expect("it was slow a moment ago");
+        assert!(rate > 1.1 * last && rate < 1.4 * last, "second {second}: {last}, then {rate}");
+        last = rate;
+    }
+    assert!(last > 2.0 * slow, "{slow}, then {last}");
+}
+
+#[test]
 fn nobody_is_told_of_a_link_that_is_behind_for_a_moment() {
     let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
     run(&mut gate, &mut link, 1, [40_000, 20_000]);

@@ -90,8 +90,9 @@ fn profile(text: &str) -> Result<LinkProfile> {
     Ok(text.parse::<LinkProfile>()?)
 }
 
-fn ns(seconds: f64) -> i64 {
-    (seconds * 1e9) as i64
+/// Seconds after the client's start as the link's time, which begins with the virtual clock.
+fn link_ns(seconds: f64) -> i64 {
+    if seconds == 0.0 { 0 } else { START_NS + (seconds * 1e9) as i64 }
 }
 
 /// The links that are measured over `seconds` each.
@@ -108,7 +109,7 @@ fn cases(seconds: f64) -> Result<Vec<Case>> {
     let mut changes_s = Vec::new();
     for (number, rate) in STEPS_MBIT.iter().enumerate() {
         let at_s = seconds * number as f64 / STEPS_MBIT.len() as f64;
-        steps.push((ns(at_s), queued(&format!("latency=10ms,rate={rate}mbit"))?));
+        steps.push((link_ns(at_s), queued(&format!("latency=10ms,rate={rate}mbit"))?));
         changes_s.push((at_s, format!("{rate} Mbit/s")));
     }
     let mut cases = vec![Case { name: "steps".into(), schedule: LinkSchedule::of_steps(steps), changes_s }];
@@ -125,7 +126,7 @@ fn cases(seconds: f64) -> Result<Vec<Case>> {
     for outage_s in OUTAGES_S {
         let name = format!("nothing for {outage_s} s");
         let usual = queued("latency=20ms,rate=100mbit")?;
-        let schedule = LinkSchedule::interrupted(usual, ns(OUTAGE_AT_S), ns(outage_s));
+        let schedule = LinkSchedule::interrupted(usual, link_ns(OUTAGE_AT_S), (outage_s * 1e9) as i64);
         let changes_s = vec![(0.0, format!("before: {name}")), (OUTAGE_AT_S, name.clone())];
         cases.push(Case { name, schedule, changes_s });
     }
