@@ -40,10 +40,13 @@
 //!
 //! # Hostile peers
 //!
-//! What a peer may have waiting at the application is bounded for each peer by itself (module `inbox`). A server
-//! allows its clients the control stream and no other, and a window of [`SERVER_WINDOW_BYTES`]. Only connected peers count
-//! as served: a handshake has [`HANDSHAKE_DEADLINE`], and as soon as one is under way every other address must show by a
-//! round trip more that it is its own. A lone client does not pay for that.
+//! What one peer sends or has waiting costs another its fair share at most:
+//! - what waits at the application is bounded for each peer by itself (module `inbox`), and so is what waits to be sent (module `outbox`);
+//! - a client may open the control stream and no other, with a window of [`SERVER_WINDOW_BYTES`]; its messages and datagrams a second are
+//!   bounded, and ten times as many datagrams end the connection;
+//! - a handshake has [`HANDSHAKE_DEADLINE`]. As soon as one is under way, every other address must show by a round trip more that it is its
+//!   own; a lone client does not pay for that. Too many handshakes push out the oldest of their own crowd (module `arrivals`);
+//! - connections on their way out are few, and only peers that may have something to send are visited.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap, VecDeque};
 use std::net::{IpAddr, SocketAddr};

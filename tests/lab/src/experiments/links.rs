@@ -209,6 +209,14 @@ fn row(name: &str, [from_s, to_s]: [f64; 2], looks: &[Look]) -> LinkRow {
     }
 }
 
+impl fmt::Display for Links {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let Self { scene, extent_pixels: [width, height], rows } = self;
+        writeln!(f, "{scene}, {width}x{height} pixels an eye, virtual time")?;
+        rows.iter().try_for_each(|row| writeln!(f, "{row}"))
+    }
+}
+
 impl fmt::Display for LinkRow {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(

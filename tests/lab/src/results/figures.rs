@@ -3,6 +3,7 @@
 
 use super::bars::{BARS, Bars};
 use crate::experiments::causes::Causes;
+use crate::experiments::links::Links;
 use crate::experiments::live::Live;
 use crate::experiments::paper_size::PaperSize;
 use crate::experiments::render_thread::RenderThread;
@@ -110,6 +111,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "table1-growth" => table1_growth(results),
         "paper-size" => printed::<PaperSize>(name, results)?,
         "render-thread" => printed::<RenderThread>(name, results)?,
+        "links-steps" => printed::<Links>(name, results)?,
         "slow-dragons3" => printed::<Slow>(name, results)?,
         "live-window-dragons3" => printed::<Live>(name, results)?,
         "budget" => crate::results::budget::table(),
@@ -459,22 +461,31 @@ fn hostile(results: &Path) -> String {
         let of = |key: &str| value[key].as_f64().unwrap_or(0.0) * 1e-6;
         format!("{:.0} MB", (of("memory_peak_bytes") - of("memory_before_bytes")).max(0.0))
     };
+    let per_s = |value: &Value| value.as_f64().map_or_else(|| "-".to_owned(), |per_s| format!("{per_s:.1}"));
     let name = |value: &Value, who: &str| format!("{}, {who}", value["attack"].as_str().unwrap_or("?"));
     let list = |key: &str| report[key].as_array().cloned().unwrap_or_default();
     let on_server = list("attacks").into_iter().map(|attack| {
         let is_serving = attack["while_serving"] == true;
         let who = if is_serving { "client served" } else { "nobody served" };
-        vec![name(&attack, who), ms(&attack["attacked_pause_ms"]), ms(&attack["newcomer_ms"]), grown(&attack)]
+        vec![
+            name(&attack, who),
+            per_s(&attack["attacked_per_s"]),
+            ms(&attack["attacked_pause_ms"]),
+            ms(&attack["newcomer_ms"]),
+            grown(&attack),
+        ]
     });
     let on_client = list("client_attacks").into_iter().map(|attack| {
         vec![
             name(&attack, "on a client"),
+            per_s(&attack["attacked_fps"]),
             ms(&attack["attacked_pause_ms"]),
             ms(&attack["back_ms"]),
             grown(&attack),
         ]
     });
-    markdown(&["attack", "longest pause", "served afterwards within", "memory"], on_server.chain(on_client))
+    let heads = ["attack", "pictures or frames/s", "longest pause", "served afterwards within", "memory"];
+    markdown(&heads, on_server.chain(on_client))
 }
 
 #[cfg(test)]

@@ -6,6 +6,7 @@ use crate::experiments::causes::{self, CAUSES, Cause};
 use crate::experiments::churn;
 use crate::experiments::costs;
 use crate::experiments::headset_off::{self, Absence};
+use crate::experiments::links;
 use crate::experiments::live;
 use crate::experiments::motion_table::{self, Condition, Kind};
 use crate::experiments::paper_size;
@@ -49,6 +50,8 @@ const MOTION_SECONDS: f64 = 6.0;
 /// Nine dragons, each cause of bytes by itself.
 const NINE_SECONDS: f64 = 10.0;
 const NINE_LINK: &str = "latency=20ms,jitter=5ms,rate=400mbit";
+/// Seconds on each of the links that change: a quarter at each rate.
+const LINKS_SECONDS: f64 = 16.0;
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
 /// Seconds for which each neighbour is beside a lawful client, in each round.
@@ -216,6 +219,14 @@ fn jobs() -> Vec<Job> {
         let found = slow::measure(&options, "dragons:3", &SLOWER)?;
         println!("{found}");
         Ok(Some(serde_json::to_value(found)?))
+    }));
+    jobs.push(Job::new("links-steps", |folder| {
+        let options = RunOptions {
+            extent_pixels: [128, 128],
+            seconds: LINKS_SECONDS,
+            ..RunOptions::new(SceneSource::Dragons(3), folder.join("run"))
+        };
+        Ok(Some(serde_json::to_value(links::measure(&options, "dragons:3", "steps")?)?))
     }));
     jobs.push(Job::new("live-window-dragons3", live_window));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
