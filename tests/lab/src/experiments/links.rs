@@ -190,7 +190,7 @@ fn row(name: &str, [from_s, to_s]: [f64; 2], looks: &[Look]) -> LinkRow {
     let times: Vec<f64> = begin_s.into_iter().chain(new_s.iter().copied()).chain([to_s]).collect();
     let pauses = times.windows(2).map(|pair| (pair[1] - pair[0]) * 1e3);
     let counted = |count: fn(&Look) -> u64| {
-        let (first, last) = (settled().next().map_or(0, count), settled().last().map_or(0, count));
+        let (first, last) = (settled().next().map_or(0, count), settled().next_back().map_or(0, count));
         last.saturating_sub(first)
     };
     let settled_length_s = (to_s - settled_s).max(1e-3);
