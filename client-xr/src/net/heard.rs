@@ -87,6 +87,14 @@ impl Heard {
         let likely = if known.is_empty() { &there } else { &known };
         match likely[..] {
             [] => Choice::Nobody,
+            // A known server may be silent for a moment; a stranger in its place is for the user to take.
+            [one] if known.is_empty() && wish.preferred.is_some() => {
+                if one.rounds >= ROUNDS_AGREED {
+                    Choice::Several(all())
+                } else {
+                    Choice::Unsure
+                }
+            }
             [one] if is_current(&one) => wish.take_once_sure(one, !known.is_empty()),
             _ => Choice::Several(all()),
         }
@@ -157,6 +165,21 @@ pub(super) mod tests {
         assert_eq!(heard([vec![]]).choose(&wish(&known)), Choice::Nobody);
         assert_eq!(heard([vec![&desk]]).choose(&wish(&known)), Choice::Unsure);
         assert_eq!(heard([vec![&desk], vec![&desk]]).choose(&wish(&known)), Choice::One(desk));
+    }
+
+    #[test]
+    fn a_stranger_is_not_taken_for_a_known_server_that_is_silent() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let [desk, stranger] = [server("desk", 1), server("stranger", 2)];
+        let known = knowing(&folder, &[&desk]);
+        let wish = Wish { preferred: Some(&desk), ..wish(&known) };
+        assert_eq!(heard([vec![&stranger]]).choose(&wish), Choice::Unsure);
+        let long = heard((0..9).map(|_| vec![&stranger]));
+        assert_eq!(long.choose(&wish), Choice::Several(vec![stranger.clone()]), "it is for the user to take");
+        let back = heard([vec![&stranger], vec![&stranger], vec![&desk, &stranger]]);
+        assert_eq!(back.choose(&wish), Choice::One(desk.clone()));
+        let taken = Wish { preferred: Some(&stranger), ..wish };
+        assert_eq!(heard([vec![&stranger]]).choose(&taken), Choice::One(stranger.clone()));
     }
 
     #[test]
