@@ -21,6 +21,7 @@ use super::error::{Fault, SceneError};
 use super::import::{Surroundings, Warnings, label};
 use super::limits::{MAX_DELTAS, MAX_MORPHS, MAX_PALETTE, MAX_VERTICES};
 use super::{Bone, Light, Model, Morph, MorphDelta, PaletteEntry, Primitive, Trs};
+use ::gltf::Semantic;
 use ::gltf::accessor::Dimensions;
 use accessor::Reader;
 use glam::{Affine3A, Mat4, Quat, Vec3};
@@ -300,11 +301,17 @@ impl<'a> Assembly<'a> {
         if let Some(parts) = self.parts.get(&mesh.index()) {
             return Ok(Rc::clone(parts));
         }
-        let mut parts = Vec::new();
+        let (mut parts, mut vertices) = (Vec::new(), 0);
         for primitive in mesh.primitives() {
             self.around.cancel.check()?;
             let element =
                 format!("{} primitive {}", label("mesh", mesh.index(), mesh.name()), primitive.index());
+            // Before it is read: many primitives may share one large accessor.
+            vertices += primitive.get(&Semantic::Positions).map_or(0, |accessor| accessor.count());
+            if vertices > MAX_VERTICES {
+                let problem = format!("brings its mesh over {MAX_VERTICES} vertices; reduce it");
+                return Err(Fault::new(element, problem));
+            }
             parts.push(mesh::read(self.reader, &primitive, &element, &mut self.warnings)?);
         }
         let parts = Rc::new(parts);

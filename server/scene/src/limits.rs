@@ -16,6 +16,10 @@ pub(crate) const MAX_BUFFER_BYTES: u64 = 1 << 30;
 /// nothing, so that the size of the file is no bound.
 pub(crate) const MAX_DECODED_BYTES: usize = 1 << 28;
 
+/// Most objects, and most values, of the JSON of a glTF: an empty object of three bytes becomes some hundreds in memory.
+pub(crate) const MAX_JSON_OBJECTS: usize = 1 << 19;
+pub(crate) const MAX_JSON_VALUES: usize = 1 << 23;
+
 /// Most elements of one accessor of a glTF.
 pub(crate) const MAX_ELEMENTS: usize = 1 << 22;
 

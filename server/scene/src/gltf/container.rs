@@ -5,6 +5,7 @@
 
 use super::super::error::Fault;
 use super::super::import::Surroundings;
+use super::super::limits::{MAX_JSON_OBJECTS, MAX_JSON_VALUES};
 use super::buffer::{Buffer, read_buffers};
 use super::compression::{self, Decoded};
 use super::{Warnings, extensions};
@@ -30,6 +31,7 @@ pub(super) struct Container {
 /// Reads a GLB or a glTF JSON text. External files are looked up in the surroundings' folder.
 pub(super) fn open(bytes: &[u8], around: &Surroundings, warnings: &mut Warnings) -> Result<Container, Fault> {
     let (json_bytes, blob) = if bytes.starts_with(b"glTF") { split_glb(bytes)? } else { (bytes, None) };
+    check_amount(json_bytes)?;
     let root = parse(json_bytes, warnings).map_err(|error| {
         Fault::new("JSON", format!("not a glTF document: {}", printable(&error.to_string())))
     })?;
@@ -42,6 +44,20 @@ pub(super) fn open(bytes: &[u8], around: &Surroundings, warnings: &mut Warnings)
     let data_bytes = data_bytes(&buffers, &decoded);
     let document = ::gltf::Document::from_json_without_validation(root);
     Ok(Container { document, buffers, data_bytes, decoded })
+}
+
+/// Counts braces and commas before anything is made of them; those in strings too, which have few.
+fn check_amount(json: &[u8]) -> Result<(), Fault> {
+    let count = |sign: u8| json.iter().filter(|byte| **byte == sign).count();
+    for (sign, most, what) in [(b'{', MAX_JSON_OBJECTS, "objects"), (b',', MAX_JSON_VALUES, "values")] {
+        let found = count(sign);
+        if found > most {
+            let problem =
+                format!("has {found} {what}; at most {most} are supported: merge its nodes and meshes");
+            return Err(Fault::new("JSON", problem));
+        }
+    }
+    Ok(())
 }
 
 fn data_bytes(buffers: &[Buffer], decoded: &Decoded) -> usize {

@@ -4,6 +4,7 @@ use super::super::{Model, Wrap};
 use super::*;
 use crate::Cancel;
 use crate::animation::pose;
+use crate::limits::MAX_JSON_OBJECTS;
 use crate::sound::{assert_sound, effort, exercise, is_sound_or_refused};
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use serde_json::{Value, json};
@@ -565,6 +566,19 @@ fn faults_in_skins_name_the_element() {
     assert_message(&few, "skin 'arm' inverse bind matrices (accessor 7): has 2 matrices for 3 joints");
     let bare = message_after(|glb| glb.root["nodes"][3]["skin"] = json!(0));
     assert_message(&bare, "mesh 'box' primitive 0 on node 3 'box': has no JOINTS_0");
+}
+
+#[test]
+fn what_would_grow_beyond_the_limits_is_refused_before_it_is_read() {
+    let shared = message_after(|glb| {
+        let zeros = glb.floats(&vec![[0.0f32; 3]; 999_999]);
+        let primitive = json!({ "attributes": { "POSITION": zeros } });
+        glb.root["meshes"][0]["primitives"] = json!(vec![primitive; 5]);
+    });
+    assert_message(&shared, "mesh 'skin' primitive 4: brings its mesh over 4000000 vertices");
+    let many = format!(r#"{{"asset":{{"version":"2.0"}},"nodes":[{}{{}}]}}"#, "{},".repeat(MAX_JSON_OBJECTS));
+    let message = from_slice(many.as_bytes(), "bad.glb").expect_err("too many").to_string();
+    assert_message(&message, "JSON: has 524291 objects; at most 524288 are supported");
 }
 
 #[test]
