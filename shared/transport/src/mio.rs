@@ -751,6 +751,7 @@ mod tests {
         driver.pending = None;
         assert!(!wakes_for_room(&mut driver));
     }
+
     #[test]
     fn a_socket_that_keeps_failing_is_opened_anew_at_its_address() {
         let any = "127.0.0.1:0".parse().expect("an address");
