@@ -157,7 +157,8 @@ impl PictureOrder {
     /// Takes a picture in. Gives the number of missing ones that it makes superfluous, because it needs none of them.
     fn add(&mut self, coded: Coded) -> u32 {
         let frame = coded.header.update;
-        if frame < self.next {
+        // The largest number has no next one, so that it could come twice.
+        if frame < self.next || frame == UpdateId(u32::MAX) {
             return 0;
         }
         let is_refresh = coded.header.is_refresh;
