@@ -112,6 +112,8 @@ struct PictureOrder {
     waiting_bytes: usize,
     /// Given up by the server, later than `next`.
     dead: BTreeSet<UpdateId>,
+    /// The picture of the largest number was taken.
+    is_over: bool,
 }
 
 /// A decoder with the pictures that are in it.
@@ -157,8 +159,7 @@ impl PictureOrder {
     /// Takes a picture in. Gives the number of missing ones that it makes superfluous, because it needs none of them.
     fn add(&mut self, coded: Coded) -> u32 {
         let frame = coded.header.update;
-        // The largest number has no next one, so that it could come twice.
-        if frame < self.next || frame == UpdateId(u32::MAX) {
+        if frame < self.next || self.is_over {
             return 0;
         }
         let is_refresh = coded.header.is_refresh;
@@ -190,6 +191,8 @@ impl PictureOrder {
     fn pop(&mut self) -> Option<Coded> {
         let coded = self.waiting.remove(&self.next)?;
         self.waiting_bytes -= coded.access_unit.len();
+        // No number follows the largest, which could be taken again.
+        self.is_over = self.next == UpdateId(u32::MAX);
         self.next = self.next.next();
         Some(coded)
     }
