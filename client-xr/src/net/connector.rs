@@ -19,10 +19,11 @@ use shadecast_protocol::text::printable;
 use shadecast_protocol::time::ClientTime;
 use shadecast_transport::discovery::FoundServer;
 use shadecast_transport::{
-    CloseKind, Event, ExpectedIdentity, Fingerprint, KnownServers, LastServer, Meeting,
+    ClientIdentity, CloseKind, Event, ExpectedIdentity, Fingerprint, KnownServers, LastServer, Meeting,
 };
 use std::collections::VecDeque;
 use std::net::SocketAddr;
+use std::sync::Arc;
 
 /// Sentences that are not said again until the session stands: a round of attempts says the same as the one before.
 const REMEMBERED_SENTENCES: usize = 8;
@@ -81,6 +82,8 @@ impl Listener for Intake {
 /// One server, and the wish to be connected to it.
 pub(super) struct Connector {
     lines: Lines,
+    /// Who we are to servers.
+    identity: Arc<ClientIdentity>,
     known: KnownServers,
     /// The only identity that will do, if the user named one.
     required: Option<Fingerprint>,
@@ -187,6 +190,7 @@ impl Connector {
 
     /// The same with another way to begin a search.
     fn asking(options: &RunOptions, traced: Traced, start: fn() -> Finder) -> Result<Self, RunError> {
+        let identity = Arc::new(ClientIdentity::load_or_create(&options.identity_dir)?);
         let mut known = KnownServers::load(&options.identity_dir)?;
         if let Some(remedy) = options.forgetting {
             known = known.with_remedy(remedy);
@@ -207,7 +211,8 @@ impl Connector {
         search.begin();
         naming.begin();
         Ok(Self {
-            lines: Lines::new(naming.addresses.clone()),
+            lines: Lines::new(&identity, naming.addresses.clone()),
+            identity,
             known,
             required: options.fingerprint,
             server,
@@ -265,7 +270,7 @@ impl Connector {
                 let is_new = addresses.iter().any(|address| !self.naming.addresses.contains(address));
                 if is_new && self.lines.live().is_none() {
                     self.naming.addresses.clone_from(&addresses);
-                    self.lines = Lines::new(addresses);
+                    self.lines = Lines::new(&self.identity, addresses);
                     listener.set_status(&for_headset(&self.with_notice(&self.status())));
                 }
             }
@@ -315,7 +320,7 @@ impl Connector {
     /// Lets the user choose. Who was dialled before has no say any more, but for the one that would be taken anyway.
     fn list(&mut self, listener: &mut impl Listener, found: Vec<FoundServer>) {
         if self.search.found.take().is_some() {
-            self.lines = Lines::new(Vec::new());
+            self.lines = Lines::new(&self.identity, Vec::new());
         }
         self.search.is_shut_out = false;
         self.try_preferred();
@@ -344,7 +349,7 @@ impl Connector {
         tracing::debug!("trying {} as well", described(last));
         self.search.is_trying_preferred = true;
         self.server.clone_from(&last.name);
-        self.lines = Lines::new(last.addresses.clone());
+        self.lines = Lines::new(&self.identity, last.addresses.clone());
         true
     }
 
@@ -356,7 +361,7 @@ impl Connector {
         }
         self.report(listener, Tone::News, &format!("Found {}", described(&found)));
         self.server.clone_from(&found.name);
-        self.lines = Lines::new(found.addresses.clone());
+        self.lines = Lines::new(&self.identity, found.addresses.clone());
         self.search.is_trying_preferred = false;
         self.search.is_shut_out = false;
         self.search.found = Some(found);

@@ -8,10 +8,11 @@ use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::time::ClientTime;
 use shadecast_transport::mio::{DriverError, any_address_for};
 use shadecast_transport::{
-    CloseKind, Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Fingerprint, Handle,
-    PeerId, spawn,
+    ClientIdentity, CloseKind, Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity,
+    Fingerprint, Handle, PeerId, spawn,
 };
 use std::net::SocketAddr;
+use std::sync::Arc;
 
 /// What has happened on the lines.
 #[derive(Debug)]
@@ -58,6 +59,8 @@ struct Line {
 
 /// All ways to one server, of which at most one is a connection.
 pub(super) struct Lines {
+    /// Who we are to whoever answers.
+    identity: Arc<ClientIdentity>,
     sockets: Vec<Socket>,
     dialler: Dialler,
     attempts: Vec<Line>,
@@ -66,8 +69,14 @@ pub(super) struct Lines {
 
 impl Lines {
     /// For a server with these addresses.
-    pub(super) fn new(addresses: Vec<SocketAddr>) -> Self {
-        Self { sockets: Vec::new(), dialler: Dialler::new(addresses), attempts: Vec::new(), live: None }
+    pub(super) fn new(identity: &Arc<ClientIdentity>, addresses: Vec<SocketAddr>) -> Self {
+        Self {
+            identity: identity.clone(),
+            sockets: Vec::new(),
+            dialler: Dialler::new(addresses),
+            attempts: Vec::new(),
+            live: None,
+        }
     }
 
     /// The thread and the peer of the connection, if there is one.
@@ -121,7 +130,7 @@ impl Lines {
         if let Some(place) = self.sockets.iter().position(|socket| socket.is_ipv4 == is_ipv4) {
             return Ok(place);
         }
-        let endpoint = Endpoint::client(EndpointConfig::default());
+        let endpoint = Endpoint::client_as(self.identity.clone(), EndpointConfig::default());
         let (handle, events) = spawn(Driver::bind(endpoint, any_address_for(address))?)?;
         events.wake(std::thread::current());
         self.sockets.push(Socket { is_ipv4, handle, events });
@@ -217,6 +226,10 @@ mod tests {
         crate::platform::monotonic_now()
     }
 
+    fn lines(addresses: Vec<SocketAddr>) -> Lines {
+        Lines::new(&Arc::new(ClientIdentity::from_seed(1).expect("an identity")), addresses)
+    }
+
     fn server() -> (SocketAddr, Handle, Events) {
         let identity = ServerIdentity::from_seed(1).expect("an identity");
         let endpoint = Endpoint::server(&identity, EndpointConfig::default()).expect("an endpoint");
@@ -254,7 +267,7 @@ mod tests {
     fn the_address_that_answers_is_found_behind_one_that_does_not() {
         let silent = UdpSocket::bind("127.0.0.1:0").expect("a socket");
         let (address, _handle, _events) = server();
-        let mut lines = Lines::new(vec![silent.local_addr().expect("an address"), address]);
+        let mut lines = lines(vec![silent.local_addr().expect("an address"), address]);
         assert_eq!(connected(&mut lines), address);
         assert!(lines.live().is_some() && lines.attempts.is_empty());
     }
@@ -264,14 +277,14 @@ mod tests {
         let (address, _handle, _events) = server();
         // No machine has this address (RFC 6666, discard only); many have no way to any of its family.
         let nowhere = "[100::1]:7400".parse().expect("an address");
-        let mut lines = Lines::new(vec![nowhere, address]);
+        let mut lines = lines(vec![nowhere, address]);
         assert_eq!(connected(&mut lines), address);
     }
 
     #[test]
     fn a_connection_that_breaks_is_told_once_and_dialled_again() {
         let (address, handle, events) = server();
-        let mut lines = Lines::new(vec![address]);
+        let mut lines = lines(vec![address]);
         connected(&mut lines);
         let deadline = Instant::now() + PATIENCE;
         let peer = loop {

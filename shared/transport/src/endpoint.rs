@@ -69,9 +69,9 @@ use shadecast_protocol::text::printable;
 
 use crate::arrivals::{Arrivals, Network, given_up_for};
 use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig};
-use crate::event::{CloseKind, Event, PeerId, SendError, StreamId};
+use crate::event::{Binding, CloseKind, Event, PeerId, SendError, StreamId};
 use crate::identity::tls::{self, PinVerifier};
-use crate::identity::{ExpectedIdentity, IdentityError, ServerIdentity};
+use crate::identity::{ClientIdentity, ExpectedIdentity, IdentityError, ServerIdentity};
 use crate::inbox::Inbox;
 use crate::peer::{Peer, PeerLimits, Violation};
 use crate::rng;
@@ -363,6 +363,8 @@ pub struct Endpoint {
     peers: BTreeMap<PeerId, Peer>,
     by_handle: HashMap<ConnectionHandle, PeerId>,
     inbox: Arc<Inbox>,
+    /// Who a client says it is; a server's key is in `proto`. Why there is none is told when a connection is wanted.
+    own: Option<Result<Arc<ClientIdentity>, String>>,
     responses: VecDeque<Transmit>,
     arrivals: Arrivals,
     /// Peers that may have something to send: something has happened to them since they had nothing.
@@ -393,11 +395,23 @@ impl Endpoint {
         Ok(Self::new(config, reset_key, transport, Some(Arc::new(server))))
     }
 
-    /// A client.
+    /// A client with this identity.
+    pub fn client_as(identity: Arc<ClientIdentity>, config: EndpointConfig) -> Self {
+        Self::new_client(Ok(identity), config)
+    }
+
+    /// A client that is a stranger everywhere: its identity is made for it alone, by the seed where there is one.
     pub fn client(config: EndpointConfig) -> Self {
+        let identity = config.seed.map_or_else(ClientIdentity::generate, ClientIdentity::from_seed);
+        Self::new_client(identity.map(Arc::new).map_err(|error| error.to_string()), config)
+    }
+
+    fn new_client(identity: Result<Arc<ClientIdentity>, String>, config: EndpointConfig) -> Self {
         let transport = Arc::new(transport_config(config.congestion, false));
         let reset_key = key_bytes(config.seed, 1);
-        Self::new(config, reset_key, transport, None)
+        let mut endpoint = Self::new(config, reset_key, transport, None);
+        endpoint.own = Some(identity);
+        endpoint
     }
 
     fn new(
@@ -422,6 +436,7 @@ impl Endpoint {
             peers: BTreeMap::new(),
             by_handle: HashMap::new(),
             inbox: Arc::new(Inbox::new(is_server, max_waiting_bytes)),
+            own: None,
             responses: VecDeque::new(),
             arrivals: Arrivals::default(),
             ready: BTreeSet::new(),
@@ -483,7 +498,9 @@ impl Endpoint {
         expected: ExpectedIdentity,
     ) -> Result<(), String> {
         let verifier = PinVerifier::new(expected);
-        let tls = tls::client_config(verifier.clone()).map_err(|e| e.to_string())?;
+        let own = self.own.as_ref().ok_or("a server does not connect")?;
+        let own = own.as_ref().map_err(Clone::clone)?;
+        let tls = tls::client_config(own, verifier.clone()).map_err(|e| e.to_string())?;
         let mut config = proto::ClientConfig::new(tls);
         config.transport_config(self.transport.clone());
         self.connects += 1;
@@ -764,8 +781,11 @@ impl Endpoint {
             }
             proto::Event::Connected => {
                 peer.on_connected();
-                let fingerprint = peer.verifier.as_ref().and_then(|verifier| verifier.verdict().fingerprint);
-                self.inbox.push(id, Event::Connected { peer: id, remote: peer.remote, fingerprint });
+                let session = peer.conn.crypto_session();
+                let fingerprint = tls::fingerprint_of(session);
+                // The handshake is over: there is always one.
+                let binding = Binding(tls::binding_of(session).unwrap_or_else(random_bytes));
+                self.inbox.push(id, Event::Connected { peer: id, remote: peer.remote, fingerprint, binding });
             }
             proto::Event::ConnectionLost { reason } => {
                 peer.closed = true;
@@ -959,7 +979,7 @@ const NO_APPLICATION_PROTOCOL: u64 = 0x100 + 120;
 /// Why a connection was lost, for programs and for users.
 fn explain(peer: &Peer, error: ConnectionError) -> (CloseKind, String) {
     let remote = peer.remote;
-    if let Some(refusal) = peer.verifier.as_ref().and_then(|verifier| verifier.verdict().refusal) {
+    if let Some(refusal) = peer.verifier.as_ref().and_then(|verifier| verifier.refusal()) {
         return (CloseKind::IdentityChanged, format!("{remote}: {refusal}"));
     }
     let other_protocol = || {

@@ -8,6 +8,17 @@ use crate::identity::Fingerprint;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PeerId(pub u64);
 
+/// What both ends of one connection can derive and others cannot (the TLS exporter's bytes).
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub struct Binding(pub [u8; 32]);
+
+impl std::fmt::Debug for Binding {
+    /// Without the bytes: logs are read by others.
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.write_str("Binding(..)")
+    }
+}
+
 /// A unidirectional stream that this endpoint sends, never used twice.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct StreamId(pub u64);
@@ -38,8 +49,11 @@ pub enum Event {
         peer: PeerId,
         /// Its address.
         remote: SocketAddr,
-        /// The server's identity, on the client; the server does not know its clients.
+        /// Whose key the peer has proved to have.
         fingerprint: Option<Fingerprint>,
+        /// Bytes that this end and the peer derive from the keys of this connection, and nobody else: what is proved over them
+        /// is proved for this connection alone.
+        binding: Binding,
     },
     /// A message on the control stream; never empty.
     Control {

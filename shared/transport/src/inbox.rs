@@ -281,7 +281,8 @@ mod tests {
     fn who_came_and_went_unseen_is_not_told_to_a_server() {
         let inbox = Inbox::new(true, LIMIT);
         let (peer, remote) = (PeerId(1), "10.0.0.1:1".parse().unwrap());
-        inbox.push(peer, Event::Connected { peer, remote, fingerprint: None });
+        let binding = crate::event::Binding([0; 32]);
+        inbox.push(peer, Event::Connected { peer, remote, fingerprint: None, binding });
         put(&inbox, control(1, b"hello"));
         inbox.close(peer, closed(1).1);
         assert_eq!(drain(&inbox), []);

@@ -1,4 +1,4 @@
-//! QUIC on mio, server identity and the simulated link.
+//! QUIC on mio, identities and the simulated link.
 //!
 //! Three layers, so that the same connection runs on real sockets and on a virtual clock:
 //! - [`endpoint`] is the connection as messages, without sockets and without a clock, and [`event`] what it tells;
@@ -23,10 +23,11 @@ mod rng;
 
 pub use arrivals::{Network, crowded};
 pub use endpoint::{Congestion, Counters, Endpoint, EndpointConfig, PeerStats, Transmit, random_bytes};
-pub use event::{CloseKind, Event, PeerId, SendError, StreamId};
+pub use event::{Binding, CloseKind, Event, PeerId, SendError, StreamId};
 pub use identity::tls::{SERVER_NAME, believing_client_crypto};
 pub use identity::{
-    ExpectedIdentity, Fingerprint, IdentityError, KnownServers, LastServer, Meeting, ServerIdentity,
+    ClientIdentity, ExpectedIdentity, Fingerprint, IdentityError, KnownServers, LastServer, Meeting,
+    ServerIdentity,
 };
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
 pub use mio::{Driver, Events, Handle, SocketTrial, spawn, try_socket};

@@ -7,6 +7,7 @@ use shadecast_protocol::message::{
 };
 use shadecast_protocol::time::ClientTime;
 use shadecast_test_support::peers::{head, hello, offer};
+use shadecast_transport::Binding;
 use std::cell::RefCell;
 
 const SECOND: i64 = 1_000_000_000;
@@ -114,7 +115,8 @@ impl Network<'_> {
 
 fn connect(network: &mut Network<'_>, peer: u64, at_ns: i64) -> PeerId {
     let remote = "127.0.0.1:9".parse().expect("an address");
-    network.take(Event::Connected { peer: PeerId(peer), remote, fingerprint: None }, at_ns);
+    let binding = Binding([0; 32]);
+    network.take(Event::Connected { peer: PeerId(peer), remote, fingerprint: None, binding }, at_ns);
     PeerId(peer)
 }
 

@@ -1,4 +1,5 @@
 use super::*;
+use crate::identity::Fingerprint;
 use crate::link::{Direction, LinkProfile};
 use crate::pair::{CLIENT_ADDR, Pair, SERVER_ADDR};
 use shadecast_protocol::limits::MAX_CONTROL_BYTES;
@@ -66,19 +67,56 @@ fn assert_closed(events: &[Event], expected: CloseKind, words: &[&str]) {
     }
 }
 
+/// What each end is told of a new connection: the other's key, and what binds to this connection.
+fn introductions(pair: &mut Pair) -> [(Option<Fingerprint>, Binding); 2] {
+    pair.client.connect(pair.now_ns(), SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+    pair.step_until(pair.now_ns() + 3 * S);
+    [&mut pair.server, &mut pair.client].map(|end| {
+        let told = events(end).into_iter().find_map(|event| match event {
+            Event::Connected { fingerprint, binding, .. } => Some((fingerprint, binding)),
+            _ => None,
+        });
+        told.expect("connected")
+    })
+}
+
 #[test]
-fn the_client_learns_the_servers_fingerprint() {
+fn each_side_learns_the_others_fingerprint() {
+    let [server, client] = introductions(&mut pair(HOME, 1));
+    assert_eq!(server.0, Some(ClientIdentity::from_seed(1).unwrap().fingerprint()));
+    assert_eq!(client.0, Some(ServerIdentity::from_seed(1).unwrap().fingerprint()));
+}
+
+#[test]
+fn a_client_keeps_its_key_from_one_connection_to_the_next() {
+    let identity = || Arc::new(ClientIdentity::from_seed(40).unwrap());
+    let client = Endpoint::client_as(identity(), EndpointConfig::default());
+    let mut pair = Pair::new(server(41), client, LinkProfile::default(), 41);
+    for _ in 0..2 {
+        assert_eq!(introductions(&mut pair)[0].0, Some(identity().fingerprint()));
+    }
+}
+
+#[test]
+fn the_ends_of_a_connection_share_a_binding_and_no_other_connection_has_it() {
+    let mut pair = pair("latency=1ms", 42);
+    let [first, second] = [(); 2].map(|()| introductions(&mut pair));
+    for [server, client] in [first, second] {
+        assert_eq!(server.1, client.1);
+    }
+    assert_ne!(first[0].1, second[0].1);
+}
+
+#[test]
+fn keys_on_both_sides_cost_no_round_trip() {
     let mut pair = pair("latency=10ms", 1);
     pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
     let seen = pair.step_to_events(S);
-    let expected = ServerIdentity::from_seed(1).unwrap().fingerprint();
-    let told = seen.iter().find_map(|(_, event)| match event {
-        Event::Connected { fingerprint, remote, .. } if *remote == SERVER_ADDR => Some(*fingerprint),
-        _ => None,
-    });
-    assert_eq!(told, Some(Some(expected)), "{seen:?}");
-    // Handshake: one round trip of 20 ms.
-    assert!(pair.now_ns() < 30 * MS, "{} ns", pair.now_ns());
+    assert!(matches!(seen[..], [(Direction::ToClient, Event::Connected { .. })]), "{seen:?}");
+    assert!(pair.now_ns() < 30 * MS, "one round trip of 20 ms, and {} ns", pair.now_ns());
+    let seen = pair.step_to_events(S);
+    assert!(matches!(seen[..], [(Direction::ToServer, Event::Connected { .. })]), "{seen:?}");
+    assert!(pair.now_ns() < 40 * MS, "{} ns", pair.now_ns());
 }
 
 #[test]

@@ -1,4 +1,4 @@
-//! A server's key, what it signs for itself, and its fingerprint.
+//! The keys of servers and clients, the certificates that they sign for themselves, and their fingerprints.
 
 use super::{IdentityError, check_is_file, create_private_directory, file_error, tls};
 use crate::rng;
@@ -12,11 +12,13 @@ use std::str::FromStr;
 
 /// File of a server's private key inside its identity directory.
 pub(super) const KEY_FILE: &str = "server-key.pem";
+/// The same of a client's.
+pub(super) const CLIENT_KEY_FILE: &str = "client-key.pem";
 /// What comes before the 32 bytes of an Ed25519 key in a PKCS #8 version 1 document (RFC 8410, section 7).
 const ED25519_PKCS8_PREFIX: [u8; 16] =
     [0x30, 0x2e, 0x02, 0x01, 0x00, 0x30, 0x05, 0x06, 0x03, 0x2b, 0x65, 0x70, 0x04, 0x22, 0x04, 0x20];
 
-/// SHA-256 of a server's public key (its `SubjectPublicKeyInfo`); written as 64 hexadecimal digits.
+/// SHA-256 of a public key (its `SubjectPublicKeyInfo`); written as 64 hexadecimal digits.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Fingerprint(pub [u8; 32]);
 
@@ -56,45 +58,71 @@ impl FromStr for Fingerprint {
     }
 }
 
-/// A server's key pair and the self-signed certificate that carries it.
-pub struct ServerIdentity {
+/// A key pair and the self-signed certificate that carries it.
+struct Own {
     key: rcgen::KeyPair,
     certificate: CertificateDer<'static>,
     fingerprint: Fingerprint,
 }
 
-impl fmt::Debug for ServerIdentity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ServerIdentity({})", self.fingerprint)
+/// Two sides of one machine have a key each: whoever holds the one cannot pass for the other.
+#[derive(Clone, Copy)]
+enum Side {
+    Server,
+    Client,
+}
+
+impl Side {
+    /// File of the private key inside the identity folder.
+    fn file(self) -> &'static str {
+        match self {
+            Self::Server => KEY_FILE,
+            Self::Client => CLIENT_KEY_FILE,
+        }
+    }
+
+    /// For people who read the certificate; nothing depends on it.
+    fn common_name(self) -> &'static str {
+        match self {
+            Self::Server => "Shadecast server",
+            Self::Client => "Shadecast client",
+        }
+    }
+
+    /// Keeps the keys of equal seeds apart.
+    fn purpose(self) -> u64 {
+        match self {
+            Self::Server => 0x1d,
+            Self::Client => 0x1e,
+        }
     }
 }
 
-impl ServerIdentity {
-    /// A new identity from the system's random numbers, kept nowhere.
-    pub fn generate() -> Result<Self, IdentityError> {
+impl Own {
+    fn generate(side: Side) -> Result<Self, IdentityError> {
         let key = rcgen::KeyPair::generate_for(&rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?)
+        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?, side)
     }
 
-    /// The identity that belongs to `seed`: for tests and virtual time, never for a server that others reach.
-    pub fn from_seed(seed: u64) -> Result<Self, IdentityError> {
+    fn from_seed(seed: u64, side: Side) -> Result<Self, IdentityError> {
         let mut der = ED25519_PKCS8_PREFIX.to_vec();
-        der.extend(rng::bytes32(seed, 0x1d));
-        Self::from_pkcs8(der).map_err(IdentityError::Generate)
+        der.extend(rng::bytes32(seed, side.purpose()));
+        let der = PrivatePkcs8KeyDer::from(der);
+        let key = rcgen::KeyPair::from_pkcs8_der_and_sign_algo(&der, &rcgen::PKCS_ED25519);
+        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?, side)
     }
 
-    /// Reads the identity in `directory`, or makes one there at the first start (a key file that is its owner's alone).
-    pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
-        let path = directory.join(KEY_FILE);
+    fn load_or_create(directory: &Path, side: Side) -> Result<Self, IdentityError> {
+        let path = directory.join(side.file());
         if !path.exists() {
             create_private_directory(directory)?;
-            let fresh = Self::generate()?;
+            let fresh = Self::generate(side)?;
             write_new_key(&path, &fresh.key.serialize_pem())?;
         }
-        Self::load(&path)
+        Self::load(&path, side)
     }
 
-    fn load(path: &Path) -> Result<Self, IdentityError> {
+    fn load(path: &Path, side: Side) -> Result<Self, IdentityError> {
         let metadata = fs::metadata(path).map_err(file_error("reading", path))?;
         check_is_file(&metadata, path)?;
         if let Some(mode) = owner::open_to_others(&metadata) {
@@ -104,21 +132,15 @@ impl ServerIdentity {
         let bytes = fs::read(path).map_err(file_error("reading", path))?;
         let pem = String::from_utf8(bytes).map_err(|e| wrong(e.to_string()))?;
         let key = rcgen::KeyPair::from_pkcs8_pem_and_sign_algo(&pem, &rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| wrong(e.to_string()))?)
+        Self::from_key(key.map_err(|e| wrong(e.to_string()))?, side)
     }
 
-    fn from_pkcs8(der: Vec<u8>) -> Result<Self, String> {
-        let der = PrivatePkcs8KeyDer::from(der);
-        let key = rcgen::KeyPair::from_pkcs8_der_and_sign_algo(&der, &rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| e.to_string())?).map_err(|e| e.to_string())
-    }
-
-    fn from_key(key: rcgen::KeyPair) -> Result<Self, IdentityError> {
+    fn from_key(key: rcgen::KeyPair, side: Side) -> Result<Self, IdentityError> {
         let generate = |e: rcgen::Error| IdentityError::Generate(e.to_string());
         let mut params =
             rcgen::CertificateParams::new(vec![tls::SERVER_NAME.to_owned()]).map_err(generate)?;
         params.distinguished_name = rcgen::DistinguishedName::new();
-        params.distinguished_name.push(rcgen::DnType::CommonName, "Shadecast server");
+        params.distinguished_name.push(rcgen::DnType::CommonName, side.common_name());
         // A fixed serial number: one derived from the key would change the certificate's length from key to key.
         params.serial_number = Some(rcgen::SerialNumber::from_slice(&[1]));
         let certificate = params.self_signed(&key).map_err(generate)?.der().clone();
@@ -126,25 +148,112 @@ impl ServerIdentity {
         Ok(Self { key, certificate, fingerprint })
     }
 
+    fn private_key(&self) -> PrivateKeyDer<'static> {
+        PrivatePkcs8KeyDer::from(self.key.serialize_der()).into()
+    }
+}
+
+/// A server's key pair and the self-signed certificate that carries it.
+pub struct ServerIdentity(Own);
+
+/// A client's key pair and the self-signed certificate that carries it.
+pub struct ClientIdentity(Own);
+
+impl fmt::Debug for ServerIdentity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ServerIdentity({})", self.fingerprint())
+    }
+}
+
+impl fmt::Debug for ClientIdentity {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "ClientIdentity({})", self.fingerprint())
+    }
+}
+
+impl ServerIdentity {
+    /// A new identity from the system's random numbers, kept nowhere.
+    ///
+    /// # Errors
+    /// The system gives no random numbers.
+    pub fn generate() -> Result<Self, IdentityError> {
+        Own::generate(Side::Server).map(Self)
+    }
+
+    /// The identity that belongs to `seed`: for tests and virtual time, never for a server that others reach.
+    ///
+    /// # Errors
+    /// No certificate can be made of it.
+    pub fn from_seed(seed: u64) -> Result<Self, IdentityError> {
+        Own::from_seed(seed, Side::Server).map(Self)
+    }
+
+    /// Reads the identity in `directory`, or makes one there at the first start (a key file that is its owner's alone).
+    ///
+    /// # Errors
+    /// The file cannot be read or written, is open to others, or is no key.
+    pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
+        Own::load_or_create(directory, Side::Server).map(Self)
+    }
+
     /// SHA-256 of the public key: what clients pin.
     pub fn fingerprint(&self) -> Fingerprint {
-        self.fingerprint
+        self.0.fingerprint
     }
 
     pub(crate) fn certificate(&self) -> CertificateDer<'static> {
-        self.certificate.clone()
+        self.0.certificate.clone()
     }
 
     pub(crate) fn private_key(&self) -> PrivateKeyDer<'static> {
-        PrivatePkcs8KeyDer::from(self.key.serialize_der()).into()
+        self.0.private_key()
     }
 
     /// A key for `purpose` that only the owner of this identity can compute, the same after each restart.
     pub(crate) fn derived_key(&self, purpose: &str) -> [u8; 32] {
-        let key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, self.key.serialized_der());
+        let key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, self.0.key.serialized_der());
         let mut out = [0; 32];
         out.copy_from_slice(ring::hmac::sign(&key, purpose.as_bytes()).as_ref());
         out
+    }
+}
+
+impl ClientIdentity {
+    /// A new identity from the system's random numbers, kept nowhere: a stranger everywhere.
+    ///
+    /// # Errors
+    /// The system gives no random numbers.
+    pub fn generate() -> Result<Self, IdentityError> {
+        Own::generate(Side::Client).map(Self)
+    }
+
+    /// The identity that belongs to `seed`: for tests and virtual time.
+    ///
+    /// # Errors
+    /// No certificate can be made of it.
+    pub fn from_seed(seed: u64) -> Result<Self, IdentityError> {
+        Own::from_seed(seed, Side::Client).map(Self)
+    }
+
+    /// Reads the identity in `directory`, or makes one there at the first start (a key file that is its owner's alone).
+    ///
+    /// # Errors
+    /// The file cannot be read or written, is open to others, or is no key.
+    pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
+        Own::load_or_create(directory, Side::Client).map(Self)
+    }
+
+    /// SHA-256 of the public key: what servers pin.
+    pub fn fingerprint(&self) -> Fingerprint {
+        self.0.fingerprint
+    }
+
+    pub(crate) fn certificate(&self) -> CertificateDer<'static> {
+        self.0.certificate.clone()
+    }
+
+    pub(crate) fn private_key(&self) -> PrivateKeyDer<'static> {
+        self.0.private_key()
     }
 }
 

@@ -1,13 +1,14 @@
-//! Who a server is: an Ed25519 key kept in a file, and the client's list of the servers it has met.
+//! Who servers and clients are: an Ed25519 key each, kept in a file, and the lists of those they have met.
 //!
-//! There is no certificate authority between a PC and a headset in one home. The server makes a key pair once; the
-//! client pins the fingerprint of its public key at the first connection and refuses another one later.
+//! There is no certificate authority between a PC and a headset in one home. Each installation makes a key pair once. Both
+//! sides of a connection prove that they have theirs; the client pins the fingerprint of the server's public key and refuses
+//! another one later.
 
 mod key;
 mod known;
 pub(crate) mod tls;
 
-pub use key::{Fingerprint, ServerIdentity};
+pub use key::{ClientIdentity, Fingerprint, ServerIdentity};
 pub use known::{ExpectedIdentity, KnownServers, LastServer, Meeting};
 
 use shadecast_system::folders::CONFIGURATION_VARIABLES;
@@ -65,7 +66,7 @@ pub enum IdentityError {
         wrong: String,
     },
     /// Making the key or the certificate failed.
-    #[error("making the server's identity: {0}")]
+    #[error("making an identity: {0}")]
     Generate(String),
 }
 

@@ -30,6 +30,22 @@ fn an_identity_survives_a_restart() {
 
 #[cfg(unix)]
 #[test]
+fn a_client_has_a_key_of_its_own_beside_a_server() {
+    let dir = tempfile::tempdir().unwrap();
+    let server = ServerIdentity::load_or_create(dir.path()).unwrap();
+    let client = ClientIdentity::load_or_create(dir.path()).unwrap();
+    assert_ne!(client.fingerprint(), server.fingerprint());
+    assert_eq!(ClientIdentity::load_or_create(dir.path()).unwrap().fingerprint(), client.fingerprint());
+    assert!(is_private(&dir.path().join("client-key.pem")));
+    let seeded = [ServerIdentity::from_seed(7).unwrap().fingerprint(), client_of_seed(7)];
+    assert_ne!(seeded[0], seeded[1], "a seed is no way from the one to the other");
+}
+
+fn client_of_seed(seed: u64) -> Fingerprint {
+    ClientIdentity::from_seed(seed).unwrap().fingerprint()
+}
+
+#[test]
 fn a_pipe_in_the_place_of_a_file_is_refused_and_not_waited_for() {
     let dir = tempfile::tempdir().unwrap();
     for name in [KEY_FILE, KNOWN_SERVERS_FILE] {
