@@ -6,6 +6,7 @@
 
 mod key;
 mod known;
+pub mod pairing;
 pub(crate) mod tls;
 
 pub use key::{ClientIdentity, Fingerprint, ServerIdentity};
