@@ -4,11 +4,13 @@
 //! sides of a connection prove that they have theirs; the client pins the fingerprint of the server's public key and refuses
 //! another one later.
 
+mod devices;
 mod key;
 mod known;
 pub mod pairing;
 pub(crate) mod tls;
 
+pub use devices::{DeviceError, KnownDevice, KnownDevices, MAX_NAME_BYTES, Rights};
 pub use key::{ClientIdentity, Fingerprint, ServerIdentity};
 pub use known::{ExpectedIdentity, KnownServers, LastServer, Meeting};
 
@@ -61,6 +63,16 @@ pub enum IdentityError {
     /// The list of known servers cannot be understood.
     #[error("{path}: {wrong}; each line is \"host:port\" = \"fingerprint\": correct the line or delete it")]
     KnownServers {
+        /// The file.
+        path: PathBuf,
+        /// What is wrong with it.
+        wrong: String,
+    },
+    /// The list of paired devices cannot be understood.
+    #[error(
+        "{path}: {wrong}; each line is \"name\" = {{ fingerprint = \"...\", rights = [\"look\"] }}: correct the line or delete it"
+    )]
+    KnownDevices {
         /// The file.
         path: PathBuf,
         /// What is wrong with it.
