@@ -66,6 +66,15 @@ pub enum Notice {
     Welcome(Welcome),
     /// The server wants no session: close, tell the user, and try again later.
     Refused(Refused),
+    /// The server does not know this client: a code is to be shown.
+    PairingNeeded,
+    /// A code was typed at the server.
+    PairingAnswer {
+        /// The server's part of the exchange.
+        element: [u8; 32],
+        /// That the server has the code.
+        proof: [u8; 32],
+    },
     /// The server has ended the session: close, and connect again.
     ServerLeft,
     /// What the server said makes no sense, or cannot be shown: close, and connect again.

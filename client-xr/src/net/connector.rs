@@ -6,6 +6,7 @@ use super::heard::{Choice, Heard, Wish};
 use super::lines::{LineEvent, Lines};
 use super::list::{List, described, names};
 use super::traced::Traced;
+use super::trust::{Met, Trust, question};
 use super::wording::for_headset;
 use super::{RunError, RunOptions, Server};
 use crate::client::Notice;
@@ -14,10 +15,12 @@ use crate::platform::monotonic_now;
 use crate::stream::intake::Intake;
 use crate::stream::taking::Source;
 use shadecast_protocol::close::CloseCode;
+use shadecast_protocol::pairing::ClientPairing;
 use shadecast_protocol::session::Out;
 use shadecast_protocol::text::printable;
 use shadecast_protocol::time::ClientTime;
 use shadecast_transport::discovery::FoundServer;
+use shadecast_transport::identity::pairing::Answer;
 use shadecast_transport::{
     ClientIdentity, CloseKind, Event, ExpectedIdentity, Fingerprint, KnownServers, LastServer, Meeting,
 };
@@ -49,6 +52,8 @@ trait Listener {
     fn on_closed(&mut self, now: ClientTime);
     /// Something came.
     fn on_arrived(&mut self, event: Event);
+    /// Says a step of pairing to the server.
+    fn pair(&mut self, step: ClientPairing);
 }
 
 impl Listener for Intake {
@@ -77,6 +82,10 @@ impl Listener for Intake {
             Event::Connected { .. } | Event::Closed { .. } => {} // told by the lines
         }
     }
+
+    fn pair(&mut self, step: ClientPairing) {
+        self.pair(step);
+    }
 }
 
 /// One server, and the wish to be connected to it.
@@ -85,6 +94,7 @@ pub(super) struct Connector {
     /// Who we are to servers.
     identity: Arc<ClientIdentity>,
     known: KnownServers,
+    trust: Trust,
     /// The only identity that will do, if the user named one.
     required: Option<Fingerprint>,
     /// As the user writes it, or as it calls itself.
@@ -214,6 +224,7 @@ impl Connector {
             lines: Lines::new(&identity, naming.addresses.clone()),
             identity,
             known,
+            trust: Trust::default(),
             required: options.fingerprint,
             server,
             naming,
@@ -253,6 +264,9 @@ impl Connector {
             self.take_round(listener, round);
         }
         self.take_presses(listener);
+        if self.trust.is_asking() {
+            return; // nobody is dialled before the user has said whether it may be
+        }
         let (known, required, server) = (&self.known, self.required, &self.server);
         let announced = self.search.announced();
         let whom = |address| expected(known, required, announced, server, address);
@@ -359,6 +373,7 @@ impl Connector {
         if self.lines.live().is_some() || self.search.found.as_ref() == Some(&found) {
             return;
         }
+        self.trust.forget_question();
         self.report(listener, Tone::News, &format!("Found {}", described(&found)));
         self.server.clone_from(&found.name);
         self.lines = Lines::new(&self.identity, found.addresses.clone());
@@ -376,6 +391,10 @@ impl Connector {
     /// Does what the user does with the list.
     fn take_presses(&mut self, listener: &mut impl Listener) {
         let presses = listener.presses();
+        if let Some(taken) = self.trust.take(presses.takes) {
+            self.pin(&taken);
+            self.report(listener, Tone::News, &self.status());
+        }
         if !self.search.list.has_news(presses) {
             return;
         }
@@ -390,14 +409,15 @@ impl Connector {
 
     fn take(&mut self, listener: &mut impl Listener, event: LineEvent) {
         match event {
-            LineEvent::Connected { address, fingerprint } => {
+            LineEvent::Connected { address, fingerprint, binding } => {
                 if let Some(fingerprint) = fingerprint {
-                    self.meet(address, fingerprint);
+                    self.meet(Met { address, fingerprint, binding });
                 }
                 listener.on_connected(monotonic_now());
             }
             LineEvent::Failed { kind, reason } => self.report_closed(listener, kind, &reason),
             LineEvent::Lost { kind, reason } => {
+                self.trust.lost();
                 listener.on_closed(monotonic_now());
                 self.report_closed(listener, kind, &reason);
             }
@@ -410,8 +430,17 @@ impl Connector {
         }
     }
 
-    /// Pins who answered, and tells the user once who that is. From now on it is the one that was connected last.
-    fn meet(&mut self, address: SocketAddr, fingerprint: Fingerprint) {
+    /// Somebody has answered. Who is trusted is pinned at once; a stranger only when it was paired or taken.
+    fn meet(&mut self, met: Met) {
+        self.trust.met(met);
+        if self.trust.is_trusted(&self.known, self.required) {
+            self.pin(&met);
+        }
+    }
+
+    /// Pins a server, and tells the user once who that is. From now on it is the one that was connected last.
+    fn pin(&mut self, met: &Met) {
+        let Met { address, fingerprint, .. } = *met;
         let place = self.place(address);
         match self.known.remember(&self.server, address, fingerprint) {
             Ok(Meeting::Again) => tracing::debug!("{place} has answered"),
@@ -427,6 +456,52 @@ impl Connector {
         if std::mem::take(&mut self.search.is_trying_preferred) {
             self.search.found.clone_from(&self.search.preferred);
         }
+    }
+
+    /// Shows a code, for whoever stands at the server to type. What to say where there can be none.
+    fn show_code(
+        &mut self,
+        listener: &mut impl Listener,
+        random: &[u8; 64],
+        now: ClientTime,
+    ) -> Option<String> {
+        let own = self.identity.fingerprint();
+        match self.trust.show_code(own, random, now.0)? {
+            Ok((code, element)) => {
+                listener.pair(ClientPairing::Offer { element });
+                let text = self.trust.instructions(code, &self.server);
+                self.report(listener, Tone::Trouble, &text);
+                None
+            }
+            Err(closed) => Some(format!("{}: {closed}", self.server)),
+        }
+    }
+
+    /// Judges the code that was typed at the server. A server that has the right one is pinned.
+    fn judge_code(&mut self, listener: &mut impl Listener, answer: &Answer, now: ClientTime) {
+        let step = match self.trust.judge(answer, now.0) {
+            Ok(proof) => {
+                self.trust.whom().iter().for_each(|met| self.pin(met));
+                ClientPairing::Proof { proof }
+            }
+            Err(_) => ClientPairing::WrongCode,
+        };
+        listener.pair(step);
+    }
+
+    /// Whether the server that would serve us is trusted. Otherwise the user is asked, and the connection is not used.
+    fn may_use(&mut self, listener: &mut impl Listener, now: ClientTime) -> bool {
+        if self.trust.is_trusted(&self.known, self.required) {
+            return true;
+        }
+        if let Some(met) = self.trust.ask(listener.presses().takes) {
+            let text = question(&self.place(met.address), met.fingerprint);
+            self.report(listener, Tone::Trouble, &text);
+        }
+        self.lines.give_up(now, CloseCode::Leaving, "the server is not known here");
+        self.trust.lost();
+        listener.on_closed(now);
+        false
     }
 
     /// The server as the user writes it, with the address that it turned out to be.
@@ -454,22 +529,41 @@ impl Connector {
     fn act_on(&mut self, intake: &mut Intake, notice: Notice, now: ClientTime) {
         let text = match notice {
             Notice::Welcome(_) => {
-                self.lines.succeeded();
-                self.search.finder = None;
-                self.naming.resolver = None;
-                self.notice = None;
-                self.told.clear();
-                self.report(intake, Tone::News, &format!("Connected to {}", self.server));
+                if self.may_use(intake, now) {
+                    self.welcomed(intake);
+                }
                 return;
             }
-            Notice::Refused(refused) => format!("{}: {}", refused.reason, refused.remedy),
+            Notice::PairingNeeded => {
+                let random = shadecast_transport::random_bytes();
+                let Some(trouble) = self.show_code(intake, &random, now) else { return };
+                trouble
+            }
+            Notice::PairingAnswer { element, proof } => {
+                return self.judge_code(intake, &Answer { element, proof }, now);
+            }
+            Notice::Refused(refused) => {
+                let text = format!("{}: {}", refused.reason, refused.remedy);
+                self.trust.refused(&text);
+                text
+            }
             Notice::ServerLeft => format!("{} ended the session", self.server),
             Notice::Failed(reason) => reason,
         };
         self.report(intake, Tone::Trouble, &text);
         self.flush(intake);
         self.lines.give_up(now, CloseCode::NotUnderstood, &text);
+        self.trust.lost();
         intake.on_closed(now);
+    }
+
+    fn welcomed(&mut self, listener: &mut impl Listener) {
+        self.lines.succeeded();
+        self.search.finder = None;
+        self.naming.resolver = None;
+        self.notice = None;
+        self.told.clear();
+        self.report(listener, Tone::News, &format!("Connected to {}", self.server));
     }
 
     /// Says something in the headset, and on stderr once.

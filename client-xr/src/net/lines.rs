@@ -8,7 +8,7 @@ use shadecast_protocol::close::CloseCode;
 use shadecast_protocol::time::ClientTime;
 use shadecast_transport::mio::{DriverError, any_address_for};
 use shadecast_transport::{
-    ClientIdentity, CloseKind, Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity,
+    Binding, ClientIdentity, CloseKind, Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity,
     Fingerprint, Handle, PeerId, spawn,
 };
 use std::net::SocketAddr;
@@ -23,6 +23,8 @@ pub(super) enum LineEvent {
         address: SocketAddr,
         /// Who answered.
         fingerprint: Option<Fingerprint>,
+        /// What only the ends of this connection know.
+        binding: Binding,
     },
     /// One address does not lead to the server.
     Failed {
@@ -140,10 +142,10 @@ impl Lines {
     /// What an event means for who uses the connection; `None` where it belongs to a line that was given up.
     fn sort(&mut self, now: ClientTime, socket: usize, event: Event) -> Option<LineEvent> {
         match event {
-            Event::Connected { peer, fingerprint, .. } => {
+            Event::Connected { peer, fingerprint, binding, .. } => {
                 let line = self.take_attempt(socket, peer)?;
                 self.keep(line);
-                Some(LineEvent::Connected { address: line.address, fingerprint })
+                Some(LineEvent::Connected { address: line.address, fingerprint, binding })
             }
             Event::Closed { peer, kind, reason } => self.closed(now, (socket, peer), kind, reason),
             Event::Control { peer, .. }

@@ -13,6 +13,7 @@ mod heard;
 mod lines;
 mod list;
 pub mod traced;
+mod trust;
 mod wording;
 
 use crate::client::{ClientError, ClientOptions, FrameReport, Step, halves};

@@ -14,6 +14,7 @@ use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Capabilities, MotionMemory, Welcome};
 use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
+use shadecast_protocol::pairing::ClientPairing;
 use shadecast_protocol::session::{ClientEvent, Out};
 use shadecast_protocol::time::ClientTime;
 use shadecast_protocol::wire::{self, StreamMessage, WireError};
@@ -106,6 +107,13 @@ impl Intake {
     pub fn say_goodbye(&mut self) {
         if let Some(session) = self.link.session() {
             session.goodbye();
+        }
+    }
+
+    /// Says a step of pairing.
+    pub fn pair(&mut self, step: ClientPairing) {
+        if let Some(session) = self.link.session() {
+            session.pair(step);
         }
     }
 
@@ -326,6 +334,10 @@ impl Intake {
                 }
                 ClientEvent::Motion(news) => self.take_motion(news),
                 ClientEvent::Refused(refused) => self.notices.push_back(Notice::Refused(refused)),
+                ClientEvent::PairingNeeded { .. } => self.notices.push_back(Notice::PairingNeeded),
+                ClientEvent::PairingAnswer { element, proof } => {
+                    self.notices.push_back(Notice::PairingAnswer { element, proof });
+                }
                 ClientEvent::Goodbye => self.notices.push_back(Notice::ServerLeft),
                 ClientEvent::Failed(error) => self.notices.push_back(Notice::Failed(error.to_string())),
                 ClientEvent::Silent => self.notices.push_back(Notice::Failed(SILENT.to_owned())),

@@ -18,6 +18,7 @@ use crate::motion::poses::{BonePose, GridPose};
 use crate::motion::predicted::{PredictedVertex, Prediction};
 use crate::motion::rest::{MeshInfo, RestVertex};
 use crate::motion::skeleton::{ClipRef, PoseSource, SkeletonEntry, SkeletonInfo, SkinnedInstance};
+use crate::pairing::{ClientPairing, ServerPairing};
 use crate::testing::{displayed, head, hello, welcome};
 use crate::time::{ClientTime, GridIndex, ServerTime, WorldTime};
 use crate::wire::{PictureHeader, encode_geometry, encode_motion, encode_picture, frame_control};
@@ -25,7 +26,7 @@ use crate::world_clock::{Steer, WorldClock};
 use glam::Vec3;
 
 /// The version whose bytes are pinned below.
-const PINNED_VERSION: u32 = 4;
+const PINNED_VERSION: u32 = 5;
 
 #[track_caller]
 fn assert_pinned(bytes: &[u8], hex: &str) {
@@ -130,6 +131,17 @@ fn control_messages_keep_their_bytes() {
     let refused = Refused::new("too old", "update");
     assert_pinned(&ServerMessage::Refused(refused).encode(), "0107746f6f206f6c6406757064617465");
     assert_pinned(&ServerMessage::Goodbye.encode(), "02");
+    let (element, proof) = (std::array::from_fn(|n| n as u8), [0xee; 32]);
+    let word = "000102030405060708090a0b0c0d0e0f101112131415161718191a1b1c1d1e1f";
+    let proven = "ee".repeat(32);
+    let of_client = |step| ClientMessage::Pairing(step).encode();
+    assert_pinned(&of_client(ClientPairing::Offer { element }), &format!("0600{word}"));
+    assert_pinned(&of_client(ClientPairing::Proof { proof }), &format!("0601{proven}"));
+    assert_pinned(&of_client(ClientPairing::WrongCode), "0602");
+    let of_server = |step| ServerMessage::Pairing(step).encode();
+    assert_pinned(&of_server(ServerPairing::Needed { patience_ms: 60_000 }), "0300e0d403");
+    let answer = ServerPairing::Answer { element, proof };
+    assert_pinned(&of_server(answer), &format!("0301{word}{proven}"));
 }
 
 #[test]

@@ -13,6 +13,7 @@ pub mod limits;
 pub mod memory;
 pub mod message;
 pub mod motion;
+pub mod pairing;
 pub mod picture;
 pub mod session;
 pub mod wire;
@@ -26,4 +27,4 @@ mod goldens;
 mod testing;
 
 /// Version of the wire format. A change of the bytes without a change of this number fails the wire goldens.
-pub const PROTOCOL_VERSION: u32 = 4;
+pub const PROTOCOL_VERSION: u32 = 5;

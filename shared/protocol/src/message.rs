@@ -13,6 +13,7 @@ use crate::limits::{
     MAX_REST_VERTICES, MAX_SAMPLE_RING, MAX_SAMPLED_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_TRIANGLES,
     MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
 };
+use crate::pairing::{ClientPairing, ServerPairing};
 use crate::pose::{Eye, Pose};
 use crate::text::printable;
 use crate::time::{ClientTime, Grid, ServerTime};
@@ -42,6 +43,8 @@ pub enum ClientMessage {
     },
     /// The person who looks wants the world to stand, or to go on: for all who look.
     Steer(Steer),
+    /// A step of pairing.
+    Pairing(ClientPairing),
 }
 
 /// What a server says on the control stream.
@@ -53,6 +56,8 @@ pub enum ServerMessage {
     Refused(Refused),
     /// The server ends the session.
     Goodbye,
+    /// A step of pairing.
+    Pairing(ServerPairing),
 }
 
 /// Why there is no session, in words for the user.
@@ -450,7 +455,8 @@ impl ClientMessage {
             | Self::RefreshRequest { .. }
             | Self::Goodbye
             | Self::Watching { .. }
-            | Self::Steer(_) => Ok(()),
+            | Self::Steer(_)
+            | Self::Pairing(_) => Ok(()),
         }
     }
 }
@@ -472,7 +478,7 @@ impl ServerMessage {
                 check_count("a refusal's remedy in bytes", refused.remedy.len(), MAX_TEXT_BYTES)?;
                 *refused = Refused::new(&refused.reason, &refused.remedy);
             }
-            Self::Goodbye => {}
+            Self::Goodbye | Self::Pairing(_) => {}
         }
         Ok(message)
     }

@@ -18,6 +18,7 @@ use crate::message::{
     Refused, ServerDatagram, ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
 };
 use crate::motion::message::{MotionMessage, MotionNews};
+use crate::pairing::{ClientPairing, ServerPairing, Word};
 use crate::time::{ClientTime, ServerTime};
 use crate::wire::{
     DeltaHead, PictureHeader, StreamMessage, WireError, check_count, encode_geometry, encode_motion,
@@ -81,6 +82,18 @@ pub enum ClientEvent {
     Welcome(Welcome),
     /// There will be no session.
     Refused(Refused),
+    /// The server does not know this client: show a code, then [`ClientSession::pair`].
+    PairingNeeded {
+        /// How long the code may be typed, milliseconds.
+        patience_ms: u32,
+    },
+    /// A code was typed at the server.
+    PairingAnswer {
+        /// The server's part of the exchange.
+        element: Word,
+        /// That it has the code.
+        proof: Word,
+    },
     /// The next delta, in order of frames.
     Delta(ReceivedDelta),
     /// News of motion, in order of arrival.
@@ -125,16 +138,33 @@ pub enum ServerEvent {
     Watching(bool),
     /// Somebody wants the world to stand, or to go on.
     Steer(Steering),
+    /// A step of pairing, after [`ServerSession::ask_to_pair`].
+    Pairing(ClientPairing),
     /// The user left.
     Goodbye,
     /// The client said what makes no sense: drop the connection.
     Failed(WireError),
 }
 
+/// How far a pairing is. Both ends know, so no step can be left out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum PairingStep {
+    /// The client is to show a code.
+    Needed,
+    /// It shows one.
+    Offered,
+    /// One was typed.
+    Answered,
+    /// The client has said whether that is the one.
+    Judged,
+}
+
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Phase {
     /// Hello sent, or awaited.
     Greeting,
+    /// The server wants to know first who this is.
+    Pairing(PairingStep),
     Running,
     Ended,
 }
@@ -278,6 +308,9 @@ impl ClientSession {
         if self.phase == Phase::Ended {
             return;
         }
+        if matches!(self.phase, Phase::Pairing(_)) {
+            return; // the server answers no pings to a stranger
+        }
         self.clock.settle();
         self.records_left = if self.is_held_back { 0 } else { self.records_per_turn };
         if !self.is_held_back {
@@ -370,6 +403,20 @@ impl ClientSession {
         }
     }
 
+    /// Says a step of pairing; steps out of turn are not said.
+    pub fn pair(&mut self, step: ClientPairing) {
+        let next = match (self.phase, step) {
+            (Phase::Pairing(PairingStep::Needed), ClientPairing::Offer { .. }) => PairingStep::Offered,
+            (
+                Phase::Pairing(PairingStep::Answered),
+                ClientPairing::Proof { .. } | ClientPairing::WrongCode,
+            ) => PairingStep::Judged,
+            _ => return,
+        };
+        self.phase = Phase::Pairing(next);
+        self.say(&ClientMessage::Pairing(step));
+    }
+
     /// Asks for the world to stand, or to go on.
     pub fn steer(&mut self, steer: Steer) {
         if self.phase == Phase::Running {
@@ -427,7 +474,13 @@ impl ClientSession {
             return Ok(());
         }
         match (ServerMessage::decode(message)?, self.phase) {
-            (ServerMessage::Welcome(welcome), Phase::Greeting) => self.begin(welcome)?,
+            (ServerMessage::Welcome(welcome), Phase::Greeting | Phase::Pairing(PairingStep::Judged)) => {
+                self.begin(welcome)?;
+            }
+            (ServerMessage::Welcome(_), Phase::Pairing(_)) => {
+                return Err(invalid("a welcome", "it comes before the pairing is over"));
+            }
+            (ServerMessage::Pairing(step), phase) => self.take_pairing(step, phase)?,
             (ServerMessage::Welcome(_), _) => return Err(invalid("a welcome", "it comes a second time")),
             (ServerMessage::Refused(refused), _) => self.end_with(ClientEvent::Refused(refused)),
             (ServerMessage::Goodbye, _) => self.end_with(ClientEvent::Goodbye),
@@ -441,6 +494,21 @@ impl ClientSession {
         self.events.push_back(event);
     }
 
+    fn take_pairing(&mut self, step: ServerPairing, phase: Phase) -> Result<(), WireError> {
+        let (next, event) = match (step, phase) {
+            (ServerPairing::Needed { patience_ms }, Phase::Greeting) => {
+                (PairingStep::Needed, ClientEvent::PairingNeeded { patience_ms })
+            }
+            (ServerPairing::Answer { element, proof }, Phase::Pairing(PairingStep::Offered)) => {
+                (PairingStep::Answered, ClientEvent::PairingAnswer { element, proof })
+            }
+            _ => return Err(invalid("a step of pairing", "it comes out of turn")),
+        };
+        self.phase = Phase::Pairing(next);
+        self.events.push_back(event);
+        Ok(())
+    }
+
     /// The welcome is here: streams that overtook it can be handed on.
     fn begin(&mut self, welcome: Welcome) -> Result<(), WireError> {
         if !self.codecs.contains(&welcome.codec) {
@@ -452,6 +520,7 @@ impl ClientSession {
             return Err(invalid("the memory of motion of a welcome", reason));
         }
         self.phase = Phase::Running;
+        self.unanswered = None; // what was asked during a pairing is no silence
         let decoder = DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots);
         self.decoder = Some(decoder.with_motion(welcome.motion));
         self.records_per_turn = (welcome.vertex_slots * RECORDS_PER_SLOT_AND_TURN) as usize;
@@ -580,6 +649,8 @@ enum ServerPhase {
     Greeting,
     /// It has come, and waits for an answer.
     Asked,
+    /// It has come from somebody who is not known yet.
+    Pairing(PairingStep),
     Running,
     Ended,
 }
@@ -612,6 +683,7 @@ struct Heard {
     refresh: Option<Option<UpdateId>>,
     watching: Option<bool>,
     steering: Option<Steering>,
+    pairing: Option<ClientPairing>,
     pose: Option<HeadState>,
     end: Option<ServerEvent>,
 }
@@ -718,6 +790,23 @@ impl ServerSession {
         }
     }
 
+    /// Tells the client that [`ServerEvent::Asked`] that it is to be paired first, within `patience_ms`; its steps are
+    /// [`ServerEvent::Pairing`]. [`Self::accept`] or [`Self::refuse`] ends it.
+    pub fn ask_to_pair(&mut self, patience_ms: u32) {
+        if self.phase == ServerPhase::Asked {
+            self.phase = ServerPhase::Pairing(PairingStep::Needed);
+            self.say(&ServerMessage::Pairing(ServerPairing::Needed { patience_ms }));
+        }
+    }
+
+    /// A code was typed: the server's part of the exchange, and its proof. Said once, to a client that shows a code.
+    pub fn answer_pairing(&mut self, element: Word, proof: Word) {
+        if self.phase == ServerPhase::Pairing(PairingStep::Offered) {
+            self.phase = ServerPhase::Pairing(PairingStep::Answered);
+            self.say(&ServerMessage::Pairing(ServerPairing::Answer { element, proof }));
+        }
+    }
+
     /// Says yes to the client that [`ServerEvent::Asked`]: the session stands. Gives its sending half; `None` where nobody
     /// asks any more.
     pub fn accept(&mut self) -> Option<DeltaSender> {
@@ -754,7 +843,8 @@ impl ServerSession {
         let refresh = || heard.refresh.take().map(|after| ServerEvent::RefreshRequest { after });
         let watching = || heard.watching.take().map(ServerEvent::Watching);
         let steering = || heard.steering.take().map(ServerEvent::Steer);
-        let event = displayed.or_else(refresh).or_else(watching).or_else(steering);
+        let pairing = || heard.pairing.take().map(ServerEvent::Pairing);
+        let event = displayed.or_else(pairing).or_else(refresh).or_else(watching).or_else(steering);
         event.or_else(|| heard.pose.take().map(ServerEvent::Head)).or_else(|| heard.end.take())
     }
 
@@ -791,6 +881,7 @@ impl ServerSession {
         match self.phase {
             ServerPhase::Greeting => self.greet(message),
             ServerPhase::Asked | ServerPhase::Running => self.handle(ClientMessage::decode(message)?),
+            ServerPhase::Pairing(step) => self.pair(step, ClientMessage::decode(message)?),
             ServerPhase::Ended => Ok(()),
         }
     }
@@ -826,8 +917,30 @@ impl ServerSession {
         self.end_with(ServerEvent::Refused(refused));
     }
 
+    /// From a stranger only the steps of pairing are taken, each once.
+    fn pair(&mut self, step: PairingStep, message: ClientMessage) -> Result<(), WireError> {
+        let (next, said) = match (step, message) {
+            (_, ClientMessage::Goodbye) => {
+                self.end_with(ServerEvent::Goodbye);
+                return Ok(());
+            }
+            (PairingStep::Needed, ClientMessage::Pairing(said @ ClientPairing::Offer { .. })) => {
+                (PairingStep::Offered, said)
+            }
+            (
+                PairingStep::Answered,
+                ClientMessage::Pairing(said @ (ClientPairing::Proof { .. } | ClientPairing::WrongCode)),
+            ) => (PairingStep::Judged, said),
+            _ => return Err(invalid("a message of a client that is not paired", "it comes out of turn")),
+        };
+        self.phase = ServerPhase::Pairing(next);
+        self.heard.pairing = Some(said);
+        Ok(())
+    }
+
     fn handle(&mut self, message: ClientMessage) -> Result<(), WireError> {
         match message {
+            ClientMessage::Pairing(_) => return Err(invalid("a step of pairing", "none was asked for")),
             ClientMessage::Hello(_) => return Err(invalid("a hello", "it comes a second time")),
             ClientMessage::Displayed(displayed) => {
                 if displayed.update.0 >= self.sent.load(Ordering::Acquire) {

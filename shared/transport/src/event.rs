@@ -5,7 +5,7 @@ use std::net::SocketAddr;
 use crate::identity::Fingerprint;
 
 /// A connection, never used twice by one endpoint.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct PeerId(pub u64);
 
 /// What both ends of one connection can derive and others cannot (the TLS exporter's bytes).

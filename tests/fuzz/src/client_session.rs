@@ -9,6 +9,7 @@ use shadecast_protocol::limits::MAX_INSTANCES;
 use shadecast_protocol::message::{
     ClientDatagram, ClientHello, ClientMessage, Displayed, ServerDatagram, Welcome,
 };
+use shadecast_protocol::pairing::ClientPairing;
 use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::{ClientTime, Grid, ServerTime};
 use shadecast_shaders::constants::POSE_READY;
@@ -209,6 +210,12 @@ impl Run {
                 ClientEvent::Picture { .. } => {
                     assert!(self.welcomed, "a picture before the welcome");
                     self.handed_on += 1;
+                }
+                ClientEvent::PairingNeeded { .. } => {
+                    self.session.pair(ClientPairing::Offer { element: [0; 32] });
+                }
+                ClientEvent::PairingAnswer { proof, .. } => {
+                    self.session.pair(ClientPairing::Proof { proof });
                 }
                 ClientEvent::Refused(_)
                 | ClientEvent::Goodbye

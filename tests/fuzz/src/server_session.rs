@@ -152,6 +152,7 @@ impl Run {
                 let sent = self.sender.as_ref().map(DeltaSender::next_update);
                 assert!(sent > Some(displayed.update), "{displayed:?} of {sent:?}");
             }
+            ServerEvent::Pairing(_) => panic!("a step of pairing that nobody has asked for"),
             ServerEvent::RefreshRequest { .. } | ServerEvent::Watching(_) | ServerEvent::Steer(_) => {
                 assert!(self.sender.is_some())
             }

@@ -1,6 +1,8 @@
 use super::*;
 use crate::client::ClientOptions;
 use crate::net::heard::tests::{knowing, server};
+use shadecast_transport::identity::pairing::{Code, Desk, Ends, Judgement};
+use shadecast_transport::{Binding, Network, PeerId};
 use shadecast_transport::{Driver, Endpoint, EndpointConfig, Events, Handle, ServerIdentity, spawn};
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
@@ -13,6 +15,7 @@ struct Headset {
     said: Vec<String>,
     presses: Presses,
     is_connected: bool,
+    steps: Vec<ClientPairing>,
 }
 
 impl Headset {
@@ -39,6 +42,10 @@ impl Listener for Headset {
     }
 
     fn on_arrived(&mut self, _: Event) {}
+
+    fn pair(&mut self, step: ClientPairing) {
+        self.steps.push(step);
+    }
 }
 
 fn options(folder: &TempDir, server: &str) -> RunOptions {
@@ -225,4 +232,116 @@ fn the_first_failure_is_reported_until_a_connection() {
         "{:?}",
         headset.said
     );
+}
+
+/// Somebody outside of this machine who has answered.
+fn met(byte: u8) -> Met {
+    let address = "192.168.1.5:7400".parse().expect("an address");
+    Met { address, fingerprint: key(byte), binding: Binding([byte; 32]) }
+}
+
+fn in_house(folder: &TempDir) -> (Connector, Headset) {
+    (connector(&options(folder, "192.168.1.5:7400")), Headset::default())
+}
+
+fn known_in(folder: &TempDir) -> KnownServers {
+    KnownServers::load(folder.path()).expect("a list")
+}
+
+const NOW: ClientTime = ClientTime(5_000_000_000);
+
+#[test]
+fn a_stranger_is_not_pinned_by_answering() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut connector, mut headset) = in_house(&folder);
+    connector.meet(met(1));
+    assert!(!connector.may_use(&mut headset, NOW), "it welcomes us, and that is not for it to say");
+    assert!(!known_in(&folder).knows(key(1)));
+    for word in ["192.168.1.5:7400 is not known", "010101010101", "Enter", "--fingerprint"] {
+        assert!(headset.shows().contains(word), "{:?}", headset.said);
+    }
+    connector.seek(&mut headset);
+    assert!(connector.trust.is_asking() && connector.lines.live().is_none());
+    headset.presses.takes += 1;
+    connector.take_presses(&mut headset);
+    assert!(!connector.trust.is_asking() && known_in(&folder).knows(key(1)));
+    connector.meet(met(1));
+    assert!(connector.may_use(&mut headset, NOW), "the user has taken it");
+    connector.meet(met(2));
+    assert!(!connector.may_use(&mut headset, NOW), "and nobody else");
+}
+
+#[test]
+fn a_server_that_was_named_by_its_key_or_runs_here_is_pinned_at_once() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let named = RunOptions { fingerprint: Some(key(1)), ..options(&folder, "192.168.1.5:7400") };
+    let mut named = connector(&named);
+    named.meet(met(1));
+    assert!(known_in(&folder).knows(key(1)) && named.may_use(&mut Headset::default(), NOW));
+    let (mut local, mut headset) = in_house(&folder);
+    local.meet(Met { address: "127.0.0.1:7400".parse().expect("an address"), ..met(3) });
+    assert!(known_in(&folder).knows(key(3)) && local.may_use(&mut headset, NOW));
+}
+
+/// A code is shown for the server of `met`, and typed there, or another one; the connection as the server sees it is `at_server`.
+fn paired(
+    connector: &mut Connector,
+    headset: &mut Headset,
+    met: Met,
+    at_server: Met,
+    is_right: bool,
+) -> Desk {
+    connector.meet(met);
+    assert_eq!(connector.show_code(headset, &[7; 64], NOW), None);
+    let Some(ClientPairing::Offer { element }) = headset.steps.pop() else { panic!("{:?}", headset.steps) };
+    let shown = headset.shows().lines().find(|line| line.parse::<Code>().is_ok());
+    let shown: Code = shown.and_then(|line| line.parse().ok()).expect("a code is shown");
+    let other: Code =
+        if shown.to_string() == "000 000" { "000001" } else { "000000" }.parse().expect("a code");
+    let (mut desk, client) = (Desk::new(), connector.identity.fingerprint());
+    let ends = Ends { client, server: at_server.fingerprint, binding: at_server.binding };
+    desk.begin(PeerId(1), Network::of(met.address.ip()), ends, 0).expect("its turn");
+    desk.offered(PeerId(1), element).expect("asked");
+    let (_, answer) = desk.typed(if is_right { shown } else { other }, &[8; 64], 0).expect("it waits");
+    connector.judge_code(headset, &answer.expect("an element"), NOW);
+    desk
+}
+
+#[test]
+fn a_server_at_which_the_shown_code_was_typed_is_pinned() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut connector, mut headset) = in_house(&folder);
+    let mut desk = paired(&mut connector, &mut headset, met(1), met(1), true);
+    assert!(known_in(&folder).knows(key(1)));
+    assert!(connector.may_use(&mut headset, NOW));
+    let Some(ClientPairing::Proof { proof }) = headset.steps.pop() else { panic!("{:?}", headset.steps) };
+    let judgement = desk.proved(PeerId(1), &proof, 0);
+    assert_eq!(judgement, Ok(Judgement::Paired(connector.identity.fingerprint())));
+}
+
+#[test]
+fn a_wrong_code_and_somebody_between_pin_nobody() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut connector, mut headset) = in_house(&folder);
+    paired(&mut connector, &mut headset, met(1), met(1), false);
+    assert_eq!(headset.steps.pop(), Some(ClientPairing::WrongCode));
+    paired(&mut connector, &mut headset, met(1), Met { binding: Binding([9; 32]), ..met(1) }, true);
+    assert_eq!(headset.steps.pop(), Some(ClientPairing::WrongCode));
+    assert!(!known_in(&folder).knows(key(1)) && !connector.may_use(&mut headset, NOW));
+}
+
+#[test]
+fn after_a_wrong_code_the_next_one_is_shown_with_the_reason_and_the_third_closes_pairing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut connector, mut headset) = in_house(&folder);
+    paired(&mut connector, &mut headset, met(1), met(1), false);
+    connector.trust.refused("the code was another one: type the new code");
+    paired(&mut connector, &mut headset, met(1), met(1), false);
+    let shown = headset.said.last().expect("a code");
+    assert!(shown.starts_with("the code was another one: type the new code\n"), "{shown}");
+    paired(&mut connector, &mut headset, met(1), met(1), false);
+    connector.meet(met(1));
+    let closed = connector.show_code(&mut headset, &[7; 64], NOW).expect("closed");
+    assert!(closed.contains("closed for 60 s"), "{closed}");
+    assert!(!headset.steps.iter().any(|step| matches!(step, ClientPairing::Offer { .. })));
 }

@@ -10,6 +10,8 @@ use shadecast_test_support::peers::{head, hello, offer};
 use shadecast_transport::Binding;
 use std::cell::RefCell;
 
+mod pairing;
+
 const SECOND: i64 = 1_000_000_000;
 
 /// What was sent and closed.

@@ -9,12 +9,20 @@ fn client_messages() -> Vec<ClientMessage> {
         ClientMessage::RefreshRequest { after: None },
         ClientMessage::RefreshRequest { after: Some(UpdateId(u32::MAX)) },
         ClientMessage::Goodbye,
+        ClientMessage::Pairing(ClientPairing::Offer { element: [7; 32] }),
+        ClientMessage::Pairing(ClientPairing::WrongCode),
     ]
 }
 
 fn server_messages() -> Vec<ServerMessage> {
     let refused = Refused::new("the scene has gone", "choose another");
-    vec![ServerMessage::Welcome(welcome()), ServerMessage::Refused(refused), ServerMessage::Goodbye]
+    vec![
+        ServerMessage::Welcome(welcome()),
+        ServerMessage::Refused(refused),
+        ServerMessage::Goodbye,
+        ServerMessage::Pairing(ServerPairing::Needed { patience_ms: 60_000 }),
+        ServerMessage::Pairing(ServerPairing::Answer { element: [7; 32], proof: [200; 32] }),
+    ]
 }
 
 fn client_datagrams() -> Vec<ClientDatagram> {

@@ -671,3 +671,100 @@ fn damaged_traffic_ends_sessions_and_nothing_worse() {
     }
     assert!(pair.client.is_alive() && pair.server.is_alive(), "a damaged datagram is only dropped");
 }
+
+const OFFER: ClientPairing = ClientPairing::Offer { element: [1; 32] };
+const PROOF: ClientPairing = ClientPairing::Proof { proof: [4; 32] };
+
+/// A client that the server wants to be paired first.
+fn stranger() -> Pair {
+    let mut pair = Pair::new();
+    pair.carry(ServerTime(0));
+    assert!(matches!(pair.server.poll_event(), Some(ServerEvent::Asked { .. })));
+    pair.server.ask_to_pair(60_000);
+    pair.carry(ServerTime(0));
+    assert_eq!(pair.client_events(), [ClientEvent::PairingNeeded { patience_ms: 60_000 }]);
+    pair
+}
+
+/// The steps up to the server's answer.
+fn answered() -> Pair {
+    let mut pair = stranger();
+    pair.client.pair(OFFER);
+    pair.carry(ServerTime(0));
+    assert_eq!(pair.server.poll_event(), Some(ServerEvent::Pairing(OFFER)));
+    pair.server.answer_pairing([2; 32], [3; 32]);
+    pair.carry(ServerTime(0));
+    let answer = ClientEvent::PairingAnswer { element: [2; 32], proof: [3; 32] };
+    assert_eq!(pair.client_events(), [answer]);
+    pair
+}
+
+#[test]
+fn a_paired_client_is_welcomed_and_pinged_as_any_other() {
+    let mut pair = answered();
+    pair.client.pair(PROOF);
+    pair.carry(ServerTime(0));
+    assert_eq!(pair.server.poll_event(), Some(ServerEvent::Pairing(PROOF)));
+    pair.sender = pair.server.accept();
+    pair.carry(ServerTime(0));
+    assert!(matches!(pair.client_events()[..], [ClientEvent::Welcome(_)]));
+    pair.send_delta();
+    pair.client.note_alive(NOW.plus_ns(60_000_000_000));
+    pair.client.on_tick(NOW.plus_ns(60_000_000_000));
+    assert_eq!(pair.client_events(), [], "a minute of pairing is no silence");
+    assert!(pair.client.poll_out().is_some(), "it pings");
+}
+
+#[test]
+fn a_client_that_is_being_paired_asks_for_nothing_else() {
+    let mut pair = stranger();
+    for second in 1..60 {
+        pair.client.on_tick(NOW.plus_ns(second * 1_000_000_000));
+    }
+    pair.client.send_pose(head(0));
+    assert_eq!(pair.client.poll_out(), None);
+    assert!(pair.client.is_alive());
+}
+
+#[test]
+fn steps_of_pairing_that_come_out_of_turn_end_the_session() {
+    let of_client = |step| ClientMessage::Pairing(step).encode();
+    let is_failed = |mut server: ServerSession, messages: &[Vec<u8>]| {
+        messages.iter().for_each(|message| server.on_control(message));
+        std::iter::from_fn(|| server.poll_event()).any(|event| matches!(event, ServerEvent::Failed(_)))
+    };
+    let displayed = ClientMessage::Displayed(Displayed::default()).encode();
+    let steer = ClientMessage::Steer(Steer::Halt).encode();
+    for early in [of_client(PROOF), of_client(ClientPairing::WrongCode), displayed, steer] {
+        assert!(is_failed(stranger().server, &[early]));
+    }
+    assert!(is_failed(stranger().server, &[of_client(OFFER), of_client(OFFER)]));
+    assert!(is_failed(stranger().server, &[of_client(OFFER), of_client(PROOF)]), "no code was typed");
+    assert!(is_failed(answered().server, &[of_client(PROOF), of_client(PROOF)]));
+    assert!(is_failed(Pair::connected().server, &[of_client(OFFER)]), "nobody has asked");
+}
+
+#[test]
+fn a_server_cannot_leave_out_the_pairing_that_it_has_asked_for() {
+    let welcome = ServerMessage::Welcome(crate::testing::welcome()).encode();
+    for mut pair in [stranger(), answered()] {
+        pair.client.on_control(&welcome);
+        assert_failed(&mut pair, "before the pairing is over");
+    }
+    let answer = ServerPairing::Answer { element: [0; 32], proof: [0; 32] };
+    let mut pair = stranger();
+    pair.client.on_control(&ServerMessage::Pairing(answer).encode());
+    assert_failed(&mut pair, "out of turn");
+    let mut pair = Pair::connected();
+    pair.client.on_control(&ServerMessage::Pairing(ServerPairing::Needed { patience_ms: 1 }).encode());
+    assert_failed(&mut pair, "out of turn");
+}
+
+#[test]
+fn a_client_says_no_step_of_pairing_out_of_turn() {
+    for pair in [&mut Pair::new(), &mut Pair::connected(), &mut stranger()] {
+        while pair.client.poll_out().is_some() {}
+        pair.client.pair(PROOF);
+        assert_eq!(pair.client.poll_out(), None);
+    }
+}

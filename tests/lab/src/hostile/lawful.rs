@@ -10,7 +10,8 @@ use shadecast_protocol::session::{ClientEvent, ClientSession, Out};
 use shadecast_protocol::time::ClientTime;
 use shadecast_system::monotonic_now_ns;
 use shadecast_transport::{
-    Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, PeerId, spawn,
+    ClientIdentity, Driver, Endpoint, EndpointConfig, Event, Events, ExpectedIdentity, Handle, IdentityError,
+    PeerId, spawn,
 };
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::atomic::{AtomicBool, Ordering};
@@ -125,6 +126,14 @@ impl Recorded {
     }
 }
 
+/// Whose key all lawful clients have: it is on the server's list of paired devices.
+///
+/// # Errors
+/// No certificate can be made of it.
+pub(crate) fn identity() -> Result<ClientIdentity, IdentityError> {
+    ClientIdentity::from_seed(0x1a)
+}
+
 /// A lawful client on threads of its own.
 pub(crate) struct Lawful {
     stop: Arc<AtomicBool>,
@@ -144,7 +153,7 @@ impl Lawful {
         hello: ClientHello,
         record: Option<Arc<Mutex<Vec<Recorded>>>>,
     ) -> anyhow::Result<Self> {
-        let endpoint = Endpoint::client(EndpointConfig::default());
+        let endpoint = Endpoint::client_as(Arc::new(identity()?), EndpointConfig::default());
         let driver = Driver::bind(endpoint, SocketAddr::from((Ipv4Addr::LOCALHOST, 0)))?;
         let (handle, events) = spawn(driver)?;
         let (stop, log) = (Arc::new(AtomicBool::new(false)), Arc::new(Mutex::new(Log::default())));
@@ -317,6 +326,9 @@ impl Run {
                 locked(&self.log).pictures.push(Instant::now());
             }
             ClientEvent::Motion(_) => {}
+            ClientEvent::PairingNeeded { .. } | ClientEvent::PairingAnswer { .. } => {
+                self.give_up("the server asks it to be paired".into());
+            }
             ClientEvent::Refused(refused) => self.give_up(refused.reason),
             ClientEvent::Goodbye => self.give_up("the server said goodbye".into()),
             ClientEvent::Silent => self.give_up("the server answers no pings".into()),

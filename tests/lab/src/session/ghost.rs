@@ -95,6 +95,9 @@ impl Ghost {
                     self.pictures.push_back((now_ns + self.decode_ns, header.update));
                 }
                 ClientEvent::Motion(_) => {}
+                ClientEvent::PairingNeeded { .. } | ClientEvent::PairingAnswer { .. } => {
+                    bail!("a viewer is asked to be paired")
+                }
                 ClientEvent::Refused(refused) => bail!("a viewer was refused: {}", refused.reason),
                 ClientEvent::Goodbye => bail!("the server took leave of a viewer"),
                 ClientEvent::Silent => bail!("the server answers a viewer no longer"),
