@@ -21,6 +21,7 @@ use shadecast_server::atlas::surround::DEFAULT_SURROUND;
 use shadecast_server::encode::choice::{Encoders, Wanted};
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
+use shadecast_server::serve::sessions::admission::Admit;
 use shadecast_server::serve::stream::{Device, StreamOptions, run_timeline};
 use shadecast_server::update::ShowOptions;
 use shadecast_server::visibility::detail::DEFAULT_DETAIL_PIXELS;
@@ -75,6 +76,8 @@ fn options(seconds: f64) -> anyhow::Result<StreamOptions> {
         announced_as: None,
         listen: "127.0.0.1:7400".parse()?,
         identity: None,
+        admit: Admit::default(),
+        reads_codes: false,
         atlas_extent_texels: "1024x1024".parse().map_err(anyhow::Error::msg)?,
         quality: QualityOptions::default(),
         encoders: Encoders::choose(&Wanted::Auto)?,

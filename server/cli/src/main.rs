@@ -1,5 +1,6 @@
 //! The command line of the server.
 
+mod devices;
 mod doctor;
 mod forward;
 mod interrupt;
@@ -23,7 +24,7 @@ use shadecast_server::encode::choice::{Encoders, Wanted};
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::serve::stream::{Device, StreamOptions, run};
 use shadecast_server::update;
-use shadecast_server_cli::arguments::{GpuArgs, RenderArgs, SceneArgs};
+use shadecast_server_cli::arguments::{GpuArgs, RenderArgs, SceneArgs, one_of};
 use shadecast_server_cli::inspect::{self, InspectArgs};
 use shadecast_system::write_atomically;
 use start_up::{CacheArgs, StartUp};
@@ -51,6 +52,8 @@ const DEFAULT_RATE_HZ: f64 = 30.0;
   shadecast-server forward dragon --out pictures --frames 8 --fps 8
   shadecast-server forward dragons:3 --out dragons.mp4 --frames 120 --size 1280x720
   shadecast-server forward dragons:3 --window
+  shadecast-server pair 123456
+  shadecast-server devices rename 'device 1' attic
   shadecast-server inspect dragon
   shadecast-server inspect error fox.glb --spacing-ms 100
   shadecast-server doctor --listen 0.0.0.0:7400
@@ -71,6 +74,10 @@ enum Command {
     Forward(Box<forward::ForwardArgs>),
     /// Says what is in a scene, what it takes, and how exact its animation is; needs no GPU
     Inspect(InspectArgs),
+    /// Gives a running server the code that a headset shows
+    Pair(devices::PairArgs),
+    /// Lists the paired devices, names them, says what they may do, and forgets them
+    Devices(devices::DevicesArgs),
     /// Says what this machine can do as a server, measured, and what to change
     Doctor(doctor::DoctorArgs),
     /// Writes a generated model
@@ -109,9 +116,12 @@ struct StreamArgs {
     /// The name under which they find it [default: the machine's]
     #[arg(long)]
     name: Option<String>,
-    /// Folder of the server's key [default: the user's configuration folder]
+    /// Folder of the server's key and its paired devices [default: the user's configuration folder]
     #[arg(long)]
     identity: Option<PathBuf>,
+    /// Which clients are served
+    #[arg(long, value_name = "WHOM", default_value = "paired", value_parser = one_of(devices::ADMITS, devices::of_admit))]
+    admit: devices::AdmitArg,
     #[command(flatten)]
     render: RenderArgs,
     /// Encoder of the video: auto, or one of those that `doctor` lists
@@ -127,7 +137,7 @@ struct StreamArgs {
     /// Clients that are served at once, 1 to 16; all see the same moment of the same world
     #[arg(long, default_value_t = 4, value_parser = value_parser!(u8).range(1..=16))]
     viewers: u8,
-    /// No client can halt the world; without this each can, for all who look
+    /// No client can halt the world; without this those can that have the right to, for all who look
     #[arg(long)]
     no_halt: bool,
     /// Simulates a network on the real socket, such as latency=20ms,jitter=5ms,loss=1%,rate=100mbit, or a .toml file
@@ -227,6 +237,14 @@ fn run_command(command: &Command) -> anyhow::Result<()> {
             interrupt::install(FirstSignal::Ends)?;
             inspect::run(args).map(|text| print!("{text}"))
         }
+        Command::Pair(args) => {
+            interrupt::install(FirstSignal::Ends)?;
+            devices::pair(args)
+        }
+        Command::Devices(args) => {
+            interrupt::install(FirstSignal::Ends)?;
+            devices::run(args)
+        }
         Command::Doctor(args) => {
             interrupt::install(FirstSignal::Ends)?;
             doctor::doctor(args)
@@ -288,6 +306,8 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         listen: args.listen,
         announced_as: args.announced_as(),
         identity: args.identity.clone(),
+        admit: args.admit.0,
+        reads_codes: std::io::stdin().is_terminal(),
         atlas_extent_texels: args.render.atlas,
         quality: args.render.quality(),
         encoders,

@@ -46,6 +46,15 @@ pub fn interrupt(child: &Child) -> io::Result<()> {
     if failed { Err(io::Error::last_os_error()) } else { Ok(()) }
 }
 
+/// A program that is put into the background and reads its terminal gets an error instead of being stopped.
+pub fn read_terminal_in_foreground_alone() {
+    #[cfg(unix)]
+    // SAFETY: no handler of ours runs; the signal is ignored from now on.
+    unsafe {
+        libc::signal(libc::SIGTTIN, libc::SIG_IGN);
+    }
+}
+
 /// What a shell shows for a program that Ctrl-C ended.
 pub const INTERRUPTED: i32 = 130;
 

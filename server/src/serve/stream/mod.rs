@@ -6,6 +6,7 @@
 //! makes goes to the transport without the network's thread.
 
 mod cadence;
+mod codes;
 mod encoder;
 mod outlet;
 mod pipeline;
@@ -15,6 +16,7 @@ mod stats;
 mod studio;
 mod traced;
 
+pub use codes::pair;
 pub use stats::{StreamStats, ViewerStats};
 pub use studio::{Device, Reopen};
 
@@ -24,10 +26,12 @@ use crate::encode::choice::Encoders;
 use crate::pacing::gate::WayState;
 use crate::pacing::quality::QualityOptions;
 use crate::scene::SceneGpu;
+use crate::serve::sessions::admission::{Admission, Admit};
 use crate::serve::sessions::mailbox::Mailbox;
 use crate::serve::sessions::{Carrier, Say, Sessions, Surroundings, Verdicts};
 use crate::update::ShowOptions;
 use cadence::Cadence;
+use codes::{Codes, Devices, Terminal};
 use outlet::Outlet;
 use pipeline::{Pipeline, Studio};
 use shadecast_protocol::PROTOCOL_VERSION;
@@ -41,6 +45,7 @@ use shadecast_trace::Trace;
 use shadecast_transport::discovery::announce::Announcement;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{PeerId, SendError};
+use shadecast_transport::identity::KnownDevices;
 use shadecast_transport::mio::{Driver, Events, Handle, spawn};
 use shadecast_transport::{LinkSchedule, ServerIdentity};
 use std::net::SocketAddr;
@@ -61,8 +66,12 @@ pub struct StreamOptions {
     pub listen: SocketAddr,
     /// The name under which clients of this network find the server by themselves; `None`: they do not.
     pub announced_as: Option<String>,
-    /// Folder of the server's identity; `None` for the user's default.
+    /// Folder of the server's identity and of its list of devices; `None` for the user's default.
     pub identity: Option<PathBuf>,
+    /// Whom it serves.
+    pub admit: Admit,
+    /// Lines of the standard input are codes of devices that are paired.
+    pub reads_codes: bool,
     /// Wanted atlas width and height in texels.
     pub atlas_extent_texels: AtlasExtent,
     /// Of pictures.
@@ -77,7 +86,7 @@ pub struct StreamOptions {
     pub shade_ms: Option<f64>,
     /// Clients that are served at once.
     pub viewers: usize,
-    /// Whether each of them may halt the world, for all, and let it go on.
+    /// Whether those with the right to may halt the world, for all, and let it go on.
     pub viewers_steer: bool,
     /// A simulated link on the real socket.
     pub link: Option<LinkSchedule>,
@@ -177,7 +186,8 @@ pub fn run_timeline(
 ) -> anyhow::Result<StreamStats> {
     let trace = options.trace.as_deref().map(Trace::create).transpose()?;
     let mut studio = GpuStudio::rehearsed(device, timeline, reopen, options)?;
-    let (handle, events, _announcement) = listen(options, studio.rehearsal_s(), say)?;
+    let (identity, admission, codes) = open_door(options)?;
+    let (handle, events, _announcement) = listen(&identity, options, studio.rehearsal_s(), say)?;
     let terms = offer(&studio.device()?.scene, options.atlas_extent_texels, options.rate_hz, 0);
     let terms = move |session| {
         let resume = ResumeSecret(shadecast_transport::random_bytes());
@@ -191,13 +201,9 @@ pub fn run_timeline(
         let (mailbox, verdicts, carrier) = (&mailbox, &verdicts, handle.clone());
         let network = std::thread::Builder::new().name("sessions".into()).spawn_scoped(scope, move || {
             let _stop = StopOnEnd(stop);
-            let sessions = Sessions::new(Box::new(terms), options.viewers, epoch_ns);
-            run_sessions(
-                sessions,
-                &Surroundings { carrier: &carrier, mailbox, verdicts, say },
-                &events,
-                stop,
-            );
+            let sessions = Sessions::new(Box::new(terms), options.viewers, epoch_ns).admitting(admission);
+            let around = Surroundings { carrier: &carrier, mailbox, verdicts, say };
+            run_sessions((sessions, codes), &around, &events, stop);
             events // without them the transport ends, and the pipeline may still be sending
         })?;
         let outlet: Arc<dyn Outlet> =
@@ -238,19 +244,30 @@ pub fn run_timeline(
     Ok(stats)
 }
 
+/// Who the server is, whom it lets in, and where codes come from.
+fn open_door(options: &StreamOptions) -> anyhow::Result<(ServerIdentity, Admission, Codes)> {
+    let folder = match &options.identity {
+        Some(folder) => folder.clone(),
+        None => shadecast_transport::identity::default_directory()?,
+    };
+    let identity = ServerIdentity::load_or_create(&folder)?;
+    let devices = Box::new(Devices::new(KnownDevices::load(&folder)?));
+    let admission = Admission::new(options.admit, identity.fingerprint(), devices);
+    let terminal = options.reads_codes.then(Terminal::read).transpose()?;
+    Ok((identity, admission, Codes::new(&folder, terminal)))
+}
+
 /// Opens the socket, and says so: here, and on the network.
 fn listen(
+    identity: &ServerIdentity,
     options: &StreamOptions,
     rehearsal_s: f64,
     say: &Say<'_>,
 ) -> anyhow::Result<(Handle, Events, Option<Announcement>)> {
-    let identity = match &options.identity {
-        Some(folder) => ServerIdentity::load_or_create(folder)?,
-        None => ServerIdentity::load_or_create(&shadecast_transport::identity::default_directory()?)?,
-    };
     let usual = EndpointConfig::default();
-    let max_peers = usual.max_peers - 1 + options.viewers;
-    let endpoint = Endpoint::server(&identity, EndpointConfig { max_peers, ..usual })?;
+    // One more than viewers and those who greet: the device that is being paired.
+    let max_peers = usual.max_peers + options.viewers;
+    let endpoint = Endpoint::server(identity, EndpointConfig { max_peers, ..usual })?;
     let mut driver = Driver::bind(endpoint, options.listen)?;
     if let Some(link) = &options.link {
         driver = driver.with_link(link.clone(), options.seed);
@@ -273,7 +290,12 @@ fn listen(
     Ok((handle, events, announcement))
 }
 
-fn run_sessions(mut sessions: Sessions, around: &Surroundings<'_>, events: &Events, stop: &AtomicBool) {
+fn run_sessions(
+    (mut sessions, mut codes): (Sessions, Codes),
+    around: &Surroundings<'_>,
+    events: &Events,
+    stop: &AtomicBool,
+) {
     while !stop.load(Ordering::Relaxed) {
         match events.next_timeout(LOOK_UP) {
             Ok(Some(event)) => sessions.take(event, monotonic_now_ns(), around),
@@ -284,6 +306,7 @@ fn run_sessions(mut sessions: Sessions, around: &Surroundings<'_>, events: &Even
             }
         }
         sessions.tick(monotonic_now_ns(), around);
+        codes.tend(&mut sessions, monotonic_now_ns(), around);
     }
     sessions.goodbye(monotonic_now_ns(), around);
 }
