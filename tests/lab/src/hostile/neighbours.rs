@@ -13,6 +13,7 @@ use serde::Serialize;
 use shadecast_protocol::message::{ClientDatagram, ClientMessage};
 use std::fmt;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// How long a lawful client is waited for.
@@ -91,8 +92,9 @@ pub fn measure(seconds: f64) -> anyhow::Result<NeighboursReport> {
         let mut round = [Beside::default(); Neighbour::ALL.len()];
         for (measured, neighbour) in round.iter_mut().zip(Neighbour::ALL) {
             // Each has a server of its own: what one leaves behind is not the next one's fault.
-            let server = Server::start(&scene, &folder.join("server"), whole_s)?;
-            *measured = beside(server.address, neighbour, Duration::from_secs_f64(seconds))?;
+            let identity = folder.join("server");
+            let server = Server::start(&scene, &identity, "paired", whole_s)?;
+            *measured = beside((server.address, identity), neighbour, Duration::from_secs_f64(seconds))?;
         }
         rounds.push(round);
     }
@@ -128,13 +130,17 @@ struct Beside {
     came: u64,
 }
 
-fn beside(server: SocketAddr, neighbour: Neighbour, duration: Duration) -> anyhow::Result<Beside> {
+fn beside(
+    (server, identity): (SocketAddr, PathBuf),
+    neighbour: Neighbour,
+    duration: Duration,
+) -> anyhow::Result<Beside> {
     let client = Lawful::start(server)?;
     client.wait_picture(Instant::now(), PATIENCE).context("a lawful client is not served in peace")?;
     let until = Instant::now() + SETTLING + duration;
     let from = until - duration;
     let came = std::thread::scope(|scope| {
-        let target = Target { server, until };
+        let target = Target { server, identity, until };
         let other = scope.spawn(move || neighbour.behave(&target));
         std::thread::sleep(until.saturating_duration_since(Instant::now()));
         other.join().map_err(|_| anyhow::anyhow!("a neighbour panicked"))?

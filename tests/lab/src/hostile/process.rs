@@ -146,10 +146,11 @@ pub(crate) struct Server {
 }
 
 impl Server {
-    pub(crate) fn start(scene: &str, identity: &Path, seconds: f64) -> anyhow::Result<Self> {
+    pub(crate) fn start(scene: &str, identity: &Path, admit: &str, seconds: f64) -> anyhow::Result<Self> {
         let mut command = Command::new(program("shadecast-server")?);
         command.args(["stream", scene, "--listen", "127.0.0.1:0", "--atlas", "512x512", "--no-shadows"]);
-        command.args(["--no-cache", "--seconds", &seconds.to_string()]).arg("--identity").arg(identity);
+        command.args(["--no-cache", "--seconds", &seconds.to_string(), "--admit", admit]);
+        command.arg("--identity").arg(identity);
         let mut program = Program::start(&mut command)?;
         let line = program.wait_line("Listening on ")?;
         let address = line

@@ -2,11 +2,12 @@
 
 use crate::hostile::HostileOptions;
 use crate::hostile::attacks::{Attack, CONTROL, Effort, Target};
-use crate::hostile::lawful::Lawful;
+use crate::hostile::lawful::{self, Lawful};
 use crate::hostile::process::Server;
 use crate::hostile::report::AttackReport;
 use crate::hostile::scene;
 use anyhow::{Context, bail};
+use shadecast_transport::identity::{KnownDevices, Rights};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
 use std::time::{Duration, Instant};
@@ -29,6 +30,7 @@ struct Arena {
     lifetime_s: f64,
     /// `None` after it has ended.
     server: Option<Server>,
+    asks_for_codes: bool,
 }
 
 /// Makes all attacks on one server; a server that did not survive is replaced for the next.
@@ -45,7 +47,9 @@ pub(crate) fn attack_all(
         None => scene::write(folder)?.display().to_string(),
     };
     let lifetime_s = 300.0 + attacks.len() as f64 * 4.0 * (options.seconds + PATIENCE.as_secs_f64());
-    let mut arena = Arena { scene, identity: folder.join("server"), lifetime_s, server: None };
+    let identity = folder.join("server");
+    KnownDevices::load(&identity)?.pair(lawful::identity()?.fingerprint(), Rights::ALL)?;
+    let mut arena = Arena { scene, identity, lifetime_s, server: None, asks_for_codes: false };
     let mut reports: Vec<AttackReport> = Vec::new();
     // The control first: others are judged by it.
     let (control, others): (Vec<&Attack>, Vec<&Attack>) =
@@ -76,12 +80,19 @@ impl Arena {
         }
         match &mut self.server {
             Some(server) => Ok(server),
-            none => Ok(none.insert(Server::start(&self.scene, &self.identity, self.lifetime_s)?)),
+            none => {
+                let admit = if self.asks_for_codes { "paired-only" } else { "paired" };
+                Ok(none.insert(Server::start(&self.scene, &self.identity, admit, self.lifetime_s)?))
+            }
         }
     }
 
     fn attack(&mut self, attack: &Attack, seconds: f64, while_serving: bool) -> anyhow::Result<AttackReport> {
         let duration = Duration::from_secs_f64(seconds);
+        // Guesses of the attack before would leave pairing closed: each begins with a server of its own.
+        if self.asks_for_codes || attack.asks_for_codes {
+            (self.server, self.asks_for_codes) = (None, attack.asks_for_codes);
+        }
         let address = self.server()?.address;
         let served = serve_first(address, duration.clamp(SHORTEST_QUIET, LONGEST_QUIET))?;
         let program = &self.server()?.program;
@@ -90,7 +101,7 @@ impl Arena {
         let quiet = while_serving.then_some((served.longest_pause, served.pictures_per_s));
         let served = Some(served.client).filter(|_| while_serving); // otherwise it leaves now
         let start = Instant::now();
-        let target = Target { server: address, until: start + duration };
+        let target = Target { server: address, identity: self.identity.clone(), until: start + duration };
         let expects_arrival = !while_serving && attack.leaves_place;
         let (effort, arrival) = attack_beside(attack, &target, expects_arrival, start + duration / 4)?;
         let end = Instant::now();

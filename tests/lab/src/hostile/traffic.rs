@@ -45,7 +45,7 @@ pub fn record(out: &Path) -> anyhow::Result<()> {
 
 fn converse(work: &Path) -> anyhow::Result<Vec<Recorded>> {
     let scene = scene::write(work)?.display().to_string();
-    let server = Server::start(&scene, &work.join("server"), PATIENCE.as_secs_f64() * 2.0)?;
+    let server = Server::start(&scene, &work.join("server"), "paired", PATIENCE.as_secs_f64() * 2.0)?;
     let mut hello = lawful::hello();
     hello.capabilities.max_vertex_slots = deltas::VERTEX_SLOTS;
     hello.capabilities.max_patch_slots = deltas::PATCH_SLOTS;

@@ -8,6 +8,7 @@ mod connects;
 mod empty_messages;
 mod flood;
 mod garbage;
+mod guesses;
 mod half_open;
 mod hellos;
 mod holding;
@@ -22,6 +23,7 @@ use serde::Serialize;
 use shadecast_protocol::message::{ClientHello, ClientMessage};
 use shadecast_protocol::wire::frame_control;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
 /// Connections that one attack makes at most.
@@ -42,6 +44,8 @@ pub struct Attack {
     pub leaves_place: bool,
     /// Whether it takes all of one core of this machine, as [`CONTROL`] does.
     pub burns_core: bool,
+    /// Whether the server asks strangers for a code, those of this machine too.
+    pub asks_for_codes: bool,
     run: fn(&Target) -> anyhow::Result<Effort>,
 }
 
@@ -55,6 +59,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "hellos and heads whose numbers cannot be served",
         leaves_place: false,
         burns_core: false,
+        asks_for_codes: false,
         run: hellos::attack,
     },
     Attack {
@@ -62,6 +67,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "15 MB of empty control messages before any hello",
         leaves_place: true,
         burns_core: true,
+        asks_for_codes: false,
         run: empty_messages::attack,
     },
     Attack {
@@ -69,6 +75,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "control messages of a few bytes at full speed, instead of a hello",
         leaves_place: true,
         burns_core: true,
+        asks_for_codes: false,
         run: small_messages::before_hello,
     },
     Attack {
@@ -76,6 +83,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "control messages of a few bytes at full speed, after a lawful hello",
         leaves_place: false,
         burns_core: true,
+        asks_for_codes: false,
         run: small_messages::after_hello,
     },
     Attack {
@@ -83,6 +91,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "connections without a hello that say one byte every 200 ms",
         leaves_place: true,
         burns_core: false,
+        asks_for_codes: false,
         run: holding::attack,
     },
     Attack {
@@ -90,6 +99,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "200 handshakes a second that are never finished",
         leaves_place: true,
         burns_core: false,
+        asks_for_codes: false,
         run: half_open::unproven,
     },
     Attack {
@@ -97,6 +107,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "200 handshakes a second that prove their address and are never finished",
         leaves_place: false,
         burns_core: false,
+        asks_for_codes: false,
         run: half_open::proven,
     },
     Attack {
@@ -104,6 +115,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "lawful hellos on one connection after the other, each left at once",
         leaves_place: false,
         burns_core: true,
+        asks_for_codes: false,
         run: reconnects::attack,
     },
     Attack {
@@ -111,6 +123,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "256 large streams that a client has no business to send",
         leaves_place: false,
         burns_core: true,
+        asks_for_codes: false,
         run: streams::attack,
     },
     Attack {
@@ -118,6 +131,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "datagrams that are no QUIC, or pretend to be",
         leaves_place: true,
         burns_core: false,
+        asks_for_codes: false,
         run: garbage::attack,
     },
     Attack {
@@ -125,6 +139,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "the control: datagrams at full speed to a socket that nobody reads",
         leaves_place: true,
         burns_core: true,
+        asks_for_codes: false,
         run: flood::to_nobody,
     },
     Attack {
@@ -132,6 +147,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "datagrams that are no QUIC, or pretend to be, at full speed",
         leaves_place: true,
         burns_core: true,
+        asks_for_codes: false,
         run: garbage::unpaced,
     },
     Attack {
@@ -139,6 +155,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "201 pings a second on one connection, before any hello",
         leaves_place: true,
         burns_core: false,
+        asks_for_codes: false,
         run: |target| flood::attack(target, &Flood { connections: 1, per_s: Some(201), ..PINGS }),
     },
     Attack {
@@ -146,6 +163,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "pings at full speed on eight connections, before any hello",
         leaves_place: true,
         burns_core: true,
+        asks_for_codes: false,
         run: |target| flood::attack(target, &PINGS),
     },
     Attack {
@@ -153,6 +171,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "the same without regard to congestion",
         leaves_place: true,
         burns_core: true,
+        asks_for_codes: false,
         run: |target| flood::attack(target, &Flood { manners: Manners::Greedy, ..PINGS }),
     },
     Attack {
@@ -160,6 +179,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "20 datagrams a second that cannot be decoded, on each of eight connections",
         leaves_place: true,
         burns_core: false,
+        asks_for_codes: false,
         run: |target| flood::attack(target, &Flood { kind: Kind::Junk, per_s: Some(20), ..PINGS }),
     },
     Attack {
@@ -167,6 +187,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "datagrams that cannot be decoded at full speed on eight connections, without regard to congestion",
         leaves_place: true,
         burns_core: true,
+        asks_for_codes: false,
         run: |target| flood::attack(target, &Flood { kind: Kind::Junk, manners: Manners::Greedy, ..PINGS }),
     },
     Attack {
@@ -174,6 +195,7 @@ pub const ATTACKS: &[Attack] = &[
         what: "pings at full speed without regard to congestion, after a lawful hello",
         leaves_place: false,
         burns_core: true,
+        asks_for_codes: false,
         run: |target| {
             let kind = Kind::PingsAfterHello;
             flood::attack(target, &Flood { kind, connections: 1, manners: Manners::Greedy, ..PINGS })
@@ -184,7 +206,16 @@ pub const ATTACKS: &[Attack] = &[
         what: "1,000 handshakes a second, each left as soon as it is done",
         leaves_place: true,
         burns_core: true,
+        asks_for_codes: false,
         run: connects::attack,
+    },
+    Attack {
+        name: "guesses",
+        what: "strangers that guess at codes, while codes are typed",
+        leaves_place: true,
+        burns_core: false,
+        asks_for_codes: true,
+        run: guesses::attack,
     },
 ];
 
@@ -194,6 +225,8 @@ const PINGS: Flood = Flood { kind: Kind::Pings, connections: 8, per_s: None, man
 /// Whom to attack, and until when.
 pub(crate) struct Target {
     pub(crate) server: SocketAddr,
+    /// Folder of the server's identity.
+    pub(crate) identity: PathBuf,
     pub(crate) until: Instant,
 }
 
