@@ -41,7 +41,7 @@ const CRATES: [(&str, &[&str]); 20] = [
     ("android", &["client", "transport"]),
     ("tests/mock-runtime", &["protocol", "system"]),
     ("tests/support", &["mock-runtime", "protocol"]),
-    ("tests/fuzz", &["client", "protocol", "scene", "shaders"]),
+    ("tests/fuzz", &["client", "protocol", "scene", "shaders", "transport"]),
     (
         "tests/lab",
         &[

@@ -9,6 +9,7 @@ pub mod client_session;
 pub mod deltas;
 pub mod framing;
 pub mod messages;
+pub mod pairing;
 pub mod pictures;
 pub mod script;
 pub mod server_session;

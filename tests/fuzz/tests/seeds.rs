@@ -98,6 +98,11 @@ fn recorded_pictures_are_decoded() {
 }
 
 #[test]
+fn devices_are_paired_between_guesses() {
+    assert_reaches("pairing", shadecast_fuzz::pairing::check, 3);
+}
+
+#[test]
 fn the_seeds_are_small() {
     let targets = std::fs::read_dir(Path::new(env!("CARGO_MANIFEST_DIR")).join("seeds")).unwrap();
     let names = targets.map(|it| it.unwrap().file_name().into_string().unwrap());
