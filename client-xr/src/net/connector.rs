@@ -50,6 +50,8 @@ trait Listener {
     fn on_connected(&mut self, now: ClientTime);
     /// No longer.
     fn on_closed(&mut self, now: ClientTime);
+    /// No longer, and nothing that came is to be shown.
+    fn on_discarded(&mut self, now: ClientTime);
     /// Something came.
     fn on_arrived(&mut self, event: Event);
     /// Says a step of pairing to the server.
@@ -71,6 +73,10 @@ impl Listener for Intake {
 
     fn on_closed(&mut self, now: ClientTime) {
         self.on_closed(now);
+    }
+
+    fn on_discarded(&mut self, now: ClientTime) {
+        self.on_discarded(now);
     }
 
     fn on_arrived(&mut self, event: Event) {
@@ -500,7 +506,7 @@ impl Connector {
         }
         self.lines.give_up(now, CloseCode::Leaving, "the server is not known here");
         self.trust.lost();
-        listener.on_closed(now);
+        listener.on_discarded(now);
         false
     }
 

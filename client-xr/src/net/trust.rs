@@ -87,7 +87,7 @@ impl Trust {
 
     /// The server has refused us: after a code was shown the next one is shown with the reason.
     pub(super) fn refused(&mut self, why: &str) {
-        if self.was_shown {
+        if self.was_shown && !self.is_paired {
             self.trouble = Some(why.to_owned());
         }
     }

@@ -103,6 +103,12 @@ impl Intake {
         }
     }
 
+    /// The connection is not to be used: nothing that has come of it is handed over.
+    pub fn on_discarded(&mut self, now: ClientTime) {
+        self.preparing = None;
+        self.on_closed(now);
+    }
+
     /// Takes leave of the server: the last bytes come out of [`Self::poll_out`].
     pub fn say_goodbye(&mut self) {
         if let Some(session) = self.link.session() {

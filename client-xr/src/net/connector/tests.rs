@@ -15,6 +15,7 @@ struct Headset {
     said: Vec<String>,
     presses: Presses,
     is_connected: bool,
+    has_discarded: bool,
     steps: Vec<ClientPairing>,
 }
 
@@ -39,6 +40,10 @@ impl Listener for Headset {
 
     fn on_closed(&mut self, _: ClientTime) {
         self.is_connected = false;
+    }
+
+    fn on_discarded(&mut self, _: ClientTime) {
+        (self.is_connected, self.has_discarded) = (false, true);
     }
 
     fn on_arrived(&mut self, _: Event) {}
@@ -256,7 +261,7 @@ fn a_stranger_is_not_pinned_by_answering() {
     let (mut connector, mut headset) = in_house(&folder);
     connector.meet(met(1));
     assert!(!connector.may_use(&mut headset, NOW), "it welcomes us, and that is not for it to say");
-    assert!(!known_in(&folder).knows(key(1)));
+    assert!(!known_in(&folder).knows(key(1)) && headset.has_discarded);
     for word in ["192.168.1.5:7400 is not known", "010101010101", "Enter", "--fingerprint"] {
         assert!(headset.shows().contains(word), "{:?}", headset.said);
     }

@@ -1,12 +1,11 @@
 //! Codes that somebody types at a running server: at its own terminal, or with `shadecast-server pair CODE`.
 //!
 //! That command reaches the server through two files in the folder of its identity. Whoever may write there holds the server's
-//! key anyway, so nothing is to be authenticated, and no port is opened. A request that nobody has waited for is never used: the
-//! server removes what is there when a device begins to wait.
+//! key anyway, so nothing is to be authenticated, and no port is opened. A code that was given before a device began to wait is
+//! never used: it would waste the guess.
 
-use crate::serve::sessions::Sessions;
-use crate::serve::sessions::Surroundings;
 use crate::serve::sessions::admission::{Outcome, Register};
+use crate::serve::sessions::{Sessions, Surroundings};
 use shadecast_protocol::text::printable;
 use shadecast_system::PendingFile;
 use shadecast_transport::identity::{KnownDevices, Rights};
@@ -98,7 +97,8 @@ impl Codes {
     pub(super) fn tend(&mut self, sessions: &mut Sessions, now_ns: i64, around: &Surroundings<'_>) {
         let pairing = sessions.pairing();
         if pairing.is_some() && pairing != self.pairing {
-            remove(&self.folder.join(REQUEST_FILE));
+            self.pairing = pairing;
+            self.refuse_early();
         }
         self.pairing = pairing;
         if let Some(text) = self.typed().or_else(|| self.requested()) {
@@ -106,6 +106,14 @@ impl Codes {
         }
         if let Some(outcome) = sessions.take_outcome() {
             self.answer(&outcome);
+        }
+    }
+
+    /// What was given before the device began to wait is no code of it.
+    fn refuse_early(&mut self) {
+        if self.requested().is_some() {
+            let text = "the device has only begun to wait; type the code that it shows now".to_owned();
+            self.answer(&Outcome { is_paired: false, text });
         }
     }
 
@@ -157,14 +165,19 @@ pub fn pair(folder: &Path, code: &str) -> Result<String, String> {
     let [request, answer] = [REQUEST_FILE, ANSWER_FILE].map(|name| folder.join(name));
     let number = format!("{:016x}", u64::from_le_bytes(random_bytes()));
     remove(&answer);
-    let failed = |error: io::Error| format!("writing {}: {error}", request.display());
-    write(&request, &format!("{number} {code}")).map_err(failed)?;
-    if !wait(TAKEN_WITHIN, || (!request.exists()).then_some(())).is_some_and(|()| true) {
+    let nobody = format!(
+        "no server with the identity in {} waits for a code; start it, and connect the headset: it shows the code",
+        folder.display()
+    );
+    match write(&request, &format!("{number} {code}")) {
+        Ok(()) => {}
+        // No server was ever started with this folder.
+        Err(error) if error.kind() == io::ErrorKind::NotFound => return Err(nobody),
+        Err(error) => return Err(format!("writing {}: {error}", request.display())),
+    }
+    if wait(TAKEN_WITHIN, || (!request.exists()).then_some(())).is_none() {
         remove(&request);
-        return Err(format!(
-            "no server with the identity in {} waits for a code; start it, and connect the headset: it shows the code",
-            folder.display()
-        ));
+        return Err(nobody);
     }
     let own = || {
         let text = read_small(&answer)?;
@@ -175,7 +188,7 @@ pub fn pair(folder: &Path, code: &str) -> Result<String, String> {
     remove(&answer);
     match answered {
         Some((true, text)) => Ok(text),
-        Some((false, text)) => Err(format!("not paired: {text}; the headset shows a new code")),
+        Some((false, text)) => Err(format!("not paired: {text}")),
         None => Err("the server has taken the code, and nothing came of it; see what it says".to_owned()),
     }
 }
@@ -209,4 +222,76 @@ fn write(path: &Path, text: &str) -> io::Result<()> {
 /// What is not there needs no removal, and what cannot be removed is noticed by whoever waits for it.
 fn remove(path: &Path) {
     let _ = fs::remove_file(path);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// A server's end that waits for a device.
+    fn waiting(folder: &Path) -> Codes {
+        let mut codes = Codes::new(folder, None);
+        codes.pairing = Some(PeerId(1));
+        codes
+    }
+
+    #[test]
+    fn a_given_code_is_taken_once_and_its_answer_comes_back() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let said = std::thread::scope(|scope| {
+            let asker = scope.spawn(|| pair(folder.path(), "012345"));
+            let mut codes = waiting(folder.path());
+            let code = wait(TAKEN_WITHIN, || codes.requested());
+            assert_eq!(code.as_deref(), Some("012345"));
+            assert_eq!(codes.requested(), None, "one at a time");
+            codes.answer(&Outcome { is_paired: true, text: "Paired with \"device 1\"".into() });
+            asker.join().expect("it ends")
+        });
+        assert_eq!(said, Ok("Paired with \"device 1\"".to_owned()));
+        assert_eq!(fs::read_dir(folder.path()).expect("a folder").count(), 0, "nothing is left");
+    }
+
+    #[test]
+    fn a_code_that_was_given_too_early_is_refused_and_an_ending_server_says_so() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let asked = |end: fn(Codes)| {
+            std::thread::scope(|scope| {
+                let asker = scope.spawn(|| pair(folder.path(), "012345"));
+                let request = folder.path().join(REQUEST_FILE);
+                wait(TAKEN_WITHIN, || request.exists().then_some(())).expect("it asks");
+                end(waiting(folder.path()));
+                asker.join().expect("it ends").expect_err("not paired")
+            })
+        };
+        let early = asked(|mut codes| codes.refuse_early());
+        assert!(early.contains("only begun to wait"), "{early}");
+        let ended = asked(|mut codes| assert!(codes.requested().is_some()));
+        assert!(ended.contains("the server ends"), "{ended}");
+    }
+
+    #[test]
+    fn without_a_waiting_device_the_code_is_withdrawn_and_the_remedy_named() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let mut idle = Codes::new(folder.path(), None);
+        write(&folder.path().join(REQUEST_FILE), "1 012345").expect("written");
+        assert_eq!(idle.requested(), None);
+        let said = pair(folder.path(), "012345").expect_err("nobody");
+        assert!(said.contains("waits for a code; start it"), "{said}");
+        assert!(!folder.path().join(REQUEST_FILE).exists());
+        assert_eq!(
+            pair(&folder.path().join("never"), "012345").map_err(|said| said.contains("start it")),
+            Err(true)
+        );
+    }
+
+    #[test]
+    fn what_is_too_large_or_no_file_is_no_request() {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join(REQUEST_FILE);
+        fs::write(&path, "1 ".repeat(200)).expect("written");
+        assert_eq!(waiting(folder.path()).requested(), None);
+        remove(&path);
+        fs::create_dir(&path).expect("a folder in its place");
+        assert_eq!(waiting(folder.path()).requested(), None);
+    }
 }

@@ -15,22 +15,42 @@ use shadecast_transport::{
     random_bytes, spawn,
 };
 use std::net::{Ipv4Addr, SocketAddr};
-use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
-use std::time::Duration;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Duration, Instant};
 
 /// What is typed.
 const TYPED: &str = "123456";
 const LOOK_UP: Duration = Duration::from_millis(20);
+/// How long the first guess is waited for, however short the attack is.
+const PATIENCE: Duration = Duration::from_secs(20);
+
+/// Whether the attack goes on: without a guess it would show nothing.
+struct Course<'a> {
+    target: &'a Target,
+    begun: Instant,
+    has_guessed: AtomicBool,
+}
+
+impl Course<'_> {
+    fn is_over(&self) -> bool {
+        let waits = !self.has_guessed.load(Ordering::Relaxed) && self.begun.elapsed() < PATIENCE;
+        self.target.is_over() && !waits
+    }
+}
 
 pub(super) fn attack(target: &Target) -> anyhow::Result<Effort> {
-    let typed = AtomicU64::new(0);
+    let course = Course { target, begun: Instant::now(), has_guessed: AtomicBool::new(false) };
     let devices = || anyhow::Ok(KnownDevices::load(&target.identity)?.iter().count());
     let before = devices()?;
     let effort = std::thread::scope(|scope| {
-        let typist = scope.spawn(|| type_codes(target, &target.identity, &typed));
-        let guessed = Guesser::start()?.guess(target);
+        let typist = scope.spawn(|| {
+            while !course.is_over() {
+                // Nearly all are wrong, or come while nobody waits.
+                let _ = pair(&target.identity, TYPED);
+            }
+        });
+        let guessed = Guesser::start().and_then(|guesser| guesser.guess(&course));
         typist.join().map_err(|_| anyhow::anyhow!("the typist panicked"))?;
         guessed
     })?;
@@ -38,16 +58,8 @@ pub(super) fn attack(target: &Target) -> anyhow::Result<Effort> {
     ensure!(devices()? == before, "a guess was right, or was taken for right");
     let most = u64::from(FREE_FAILURES) + 1;
     ensure!(effort.answered <= most, "{} guesses were answered, and {most} may be", effort.answered);
-    ensure!(effort.answered > 0 && typed.into_inner() > 0, "no guess was answered: {}", effort.last_word);
+    ensure!(effort.answered > 0, "no guess was answered: {}", effort.last_word);
     Ok(effort)
-}
-
-fn type_codes(target: &Target, folder: &Path, typed: &AtomicU64) {
-    while !target.is_over() {
-        // Nearly all are wrong, or come while nobody waits.
-        let _ = pair(folder, TYPED);
-        typed.fetch_add(1, Ordering::Relaxed);
-    }
 }
 
 /// One stranger, whose key stays the same.
@@ -67,20 +79,21 @@ impl Guesser {
         Ok(Self { own, handle, events, effort: Effort::default() })
     }
 
-    fn guess(mut self, target: &Target) -> anyhow::Result<Effort> {
-        while !target.is_over() {
-            let peer = self.handle.connect(target.server, ExpectedIdentity::TrustOnFirstUse)?;
+    fn guess(mut self, course: &Course<'_>) -> anyhow::Result<Effort> {
+        while !course.is_over() {
+            let peer = self.handle.connect(course.target.server, ExpectedIdentity::TrustOnFirstUse)?;
             self.effort.connections += 1;
-            self.attempt(target, peer)?;
-            target.sleep(REFUSED_PAUSE);
+            self.attempt(course, peer)?;
+            course.has_guessed.fetch_or(self.effort.answered > 0, Ordering::Relaxed);
+            std::thread::sleep(REFUSED_PAUSE);
         }
         Ok(self.effort)
     }
 
     /// One connection, until its end.
-    fn attempt(&mut self, target: &Target, peer: PeerId) -> anyhow::Result<()> {
+    fn attempt(&mut self, course: &Course<'_>, peer: PeerId) -> anyhow::Result<()> {
         let (mut panel, mut ends) = (Panel::new(), None);
-        while !target.is_over() {
+        while !course.is_over() {
             match self.events.next_timeout(LOOK_UP).context("guessing")? {
                 Some(Event::Connected { peer: at, fingerprint: Some(server), binding, .. }) if at == peer => {
                     self.effort.established += 1;
