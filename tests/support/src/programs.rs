@@ -126,10 +126,16 @@ impl Program {
     /// Waits for a further line with these words.
     #[track_caller]
     pub fn says(&mut self, words: &str) {
+        self.line_with(words);
+    }
+
+    /// The same, and gives the line.
+    #[track_caller]
+    pub fn line_with(&mut self, words: &str) -> String {
         let deadline = Instant::now() + PATIENCE;
         while let Some(line) = self.next_line(deadline) {
             if line.contains(words) {
-                return;
+                return line;
             }
         }
         panic!("\"{words}\" was not said in time, but: {}", self.said);
