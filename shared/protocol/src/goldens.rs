@@ -142,6 +142,7 @@ fn control_messages_keep_their_bytes() {
     assert_pinned(&of_server(ServerPairing::Needed { patience_ms: 60_000 }), "0300e0d403");
     let answer = ServerPairing::Answer { element, proof };
     assert_pinned(&of_server(answer), &format!("0301{word}{proven}"));
+    assert_pinned(&ServerMessage::Padding(vec![0; 2]).encode(), "04020000");
 }
 
 #[test]

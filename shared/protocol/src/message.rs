@@ -11,7 +11,7 @@ use crate::limits::{
     MAX_ARENA_WORDS, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
     MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS, MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS, MAX_POSE_PLACES,
     MAX_REST_VERTICES, MAX_SAMPLE_RING, MAX_SAMPLED_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_TRIANGLES,
-    MAX_VERTEX_SLOTS, MIN_SAMPLE_RING,
+    MAX_VERTEX_SLOTS, MIN_SAMPLE_RING, PADDING_BYTES,
 };
 use crate::pairing::{ClientPairing, ServerPairing};
 use crate::pose::{Eye, Pose};
@@ -58,6 +58,8 @@ pub enum ServerMessage {
     Goodbye,
     /// A step of pairing.
     Pairing(ServerPairing),
+    /// Of no meaning: how it arrives says what the path carries. [`PADDING_BYTES`] at most.
+    Padding(Vec<u8>),
 }
 
 /// Why there is no session, in words for the user.
@@ -479,6 +481,9 @@ impl ServerMessage {
                 *refused = Refused::new(&refused.reason, &refused.remedy);
             }
             Self::Goodbye | Self::Pairing(_) => {}
+            Self::Padding(bytes) => {
+                check_count("padding in bytes", bytes.len(), PADDING_BYTES)?;
+            }
         }
         Ok(message)
     }

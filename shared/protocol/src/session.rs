@@ -10,7 +10,7 @@ use crate::clock::ClockEstimator;
 use crate::delta::{DeltaDecoder, EncodedDelta, ReceivedDelta};
 use crate::ids::UpdateId;
 use crate::limits::{
-    MAX_ACCESS_UNIT_BYTES, MAX_FRAMES_AHEAD, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS,
+    MAX_ACCESS_UNIT_BYTES, MAX_FRAMES_AHEAD, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS, PADDING_BYTES,
     RECORDS_PER_SLOT_AND_TURN,
 };
 use crate::message::{
@@ -484,6 +484,7 @@ impl ClientSession {
             (ServerMessage::Welcome(_), _) => return Err(invalid("a welcome", "it comes a second time")),
             (ServerMessage::Refused(refused), _) => self.end_with(ClientEvent::Refused(refused)),
             (ServerMessage::Goodbye, _) => self.end_with(ClientEvent::Goodbye),
+            (ServerMessage::Padding(_), _) => {}
         }
         Ok(())
     }
@@ -814,6 +815,7 @@ impl ServerSession {
         self.phase = ServerPhase::Running;
         let sender = DeltaSender { sent: self.sent.clone() };
         self.say(&ServerMessage::Welcome(welcome));
+        self.say(&ServerMessage::Padding(vec![0; PADDING_BYTES]));
         Some(sender)
     }
 

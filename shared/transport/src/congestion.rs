@@ -20,6 +20,8 @@ use std::time::{Duration, Instant};
 use quinn_proto::RttEstimator;
 use quinn_proto::congestion::{Controller, ControllerFactory, ControllerMetrics};
 
+use crate::train::Trains;
+
 /// Window of the other controllers before anything is known of the path, bytes.
 pub const INITIAL_WINDOW_BYTES: u64 = 256 << 10;
 /// Window until the bottleneck is known, bytes: the geometry of a room that comes into view at once, with its picture.
@@ -181,6 +183,7 @@ pub struct Steady {
     round_min_rtt: Option<Duration>,
     sampled_acked: u64,
     sampled_lost: u64,
+    trains: Trains,
 }
 
 impl Steady {
@@ -210,6 +213,7 @@ impl Steady {
             round_min_rtt: None,
             sampled_acked: 0,
             sampled_lost: 0,
+            trains: Trains::default(),
         }
     }
 
@@ -395,6 +399,9 @@ impl Steady {
 
 impl Controller for Steady {
     fn on_sent(&mut self, now: Instant, bytes: u64, _last_packet_number: u64) {
+        if matches!(self.mode, Mode::Startup { .. }) {
+            self.trains.sent(now, bytes);
+        }
         self.in_flight_bytes += bytes;
         let is_window_limited = self.is_full();
         self.round_is_window_limited |= is_window_limited;
@@ -418,6 +425,7 @@ impl Controller for Steady {
     }
 
     fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, _app_limited: bool, rtt: &RttEstimator) {
+        self.trains.acked(now, sent, bytes);
         self.in_flight_bytes = self.in_flight_bytes.saturating_sub(bytes);
         self.smoothed_rtt = Some(rtt.get());
         self.delivered_bytes += bytes;
@@ -504,12 +512,14 @@ impl Controller for Steady {
         if self.is_full() { limit } else { self.pacing_window().map_or(limit, |pacing| pacing.max(limit)) }
     }
 
-    /// The rate is the measured one; the threshold is there once the bottleneck was found.
+    /// The rate is the measured one, and at the start that of a train; the threshold is there once the bottleneck was found.
     fn metrics(&self) -> ControllerMetrics {
+        let is_starting = matches!(self.mode, Mode::Startup { .. });
+        let of_train = self.trains.bytes_s().filter(|_| is_starting);
         let mut metrics = ControllerMetrics::default();
         metrics.congestion_window = self.limit();
-        metrics.ssthresh = (!matches!(self.mode, Mode::Startup { .. })).then(|| self.model_window());
-        metrics.pacing_rate = Some((self.rate() * 8.0) as u64);
+        metrics.ssthresh = (!is_starting).then(|| self.model_window());
+        metrics.pacing_rate = Some((self.rate().max(of_train.unwrap_or(0.0)) * 8.0) as u64);
         metrics
     }
 

@@ -20,6 +20,7 @@ mod outbox;
 pub mod pair;
 mod peer;
 mod rng;
+mod train;
 
 pub use arrivals::{Network, crowded};
 pub use endpoint::{Congestion, Counters, Endpoint, EndpointConfig, PeerStats, Transmit, random_bytes};

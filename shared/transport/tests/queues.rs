@@ -1,5 +1,6 @@
 //! What a stream of pictures makes of the queue before a bottleneck, in virtual time.
 
+use shadecast_protocol::limits::PADDING_BYTES;
 use shadecast_transport::pair::SERVER_ADDR;
 use shadecast_transport::{
     Direction, Endpoint, EndpointConfig, Event, ExpectedIdentity, LinkProfile, LinkSchedule, Pair, PeerId,
@@ -63,6 +64,26 @@ impl Stream {
         let mbit = (self.arrived_bytes - settled_bytes.unwrap_or(0)) as f64 * 8e-6
             / ((until_ns - settled_ns) as f64 * 1e-9);
         (queues_ms[queues_ms.len() / 2], queues_ms[queues_ms.len() - 1], mbit)
+    }
+}
+
+#[test]
+fn the_first_packets_tell_what_the_path_carries() {
+    for rate_mbit in [0.4, 2.0, 8.0, 30.0, 100.0] {
+        for (jitter, least, most) in [("", 0.8, 1.3), (",jitter=5ms", 0.1, 1.6)] {
+            for loss in ["", ",loss=2%"] {
+                let link = format!("latency=20ms,rate={rate_mbit}mbit{jitter}{loss}");
+                let mut stream = Stream::start(profile(&link), 1.0, 1);
+                stream.pair.server.send_control(stream.peer, &[0; PADDING_BYTES]).unwrap();
+                let all_ns = (PADDING_BYTES as f64 * 8e3 / rate_mbit) as i64;
+                let until_ns = stream.pair.now_ns() + 2 * 20 * MS + all_ns + 20 * MS;
+                while stream.pair.now_ns() < until_ns {
+                    stream.pair.step_to_events(until_ns);
+                }
+                let told = stream.pair.server.stats(stream.peer).unwrap().delivered_bit_per_s as f64 * 1e-6;
+                assert!((least..most).contains(&(told / rate_mbit)), "{told} Mbit/s over {link}");
+            }
+        }
     }
 }
 

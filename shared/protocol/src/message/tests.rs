@@ -22,6 +22,7 @@ fn server_messages() -> Vec<ServerMessage> {
         ServerMessage::Goodbye,
         ServerMessage::Pairing(ServerPairing::Needed { patience_ms: 60_000 }),
         ServerMessage::Pairing(ServerPairing::Answer { element: [7; 32], proof: [200; 32] }),
+        ServerMessage::Padding(vec![0; 3]),
     ]
 }
 

@@ -662,6 +662,8 @@ fn damaged_traffic_ends_sessions_and_nothing_worse() {
     let Some(Out::Control(welcome)) = pair.server.poll_out(ServerTime(0)) else { panic!("no welcome") };
     damaged(&welcome, 2, 1000, |bytes| ClientSession::start(hello(), NOW).on_control(bytes));
     pair.client.on_control(&welcome);
+    let Some(Out::Control(padding)) = pair.server.poll_out(ServerTime(0)) else { panic!("no padding") };
+    pair.client.on_control(&padding);
     let ping = ClientDatagram::ClockPing { client_send: NOW }.encode();
     damaged(&ping, 3, 1000, |bytes| pair.server.on_datagram(bytes, ServerTime(0)));
     pair.server.on_datagram(&ping, ServerTime(0));
