@@ -30,10 +30,9 @@ const SAMPLES_S: f64 = 0.02;
 /// The same for what is shown later: a tenth of what the link carries meanwhile.
 const LATER_S: f64 = 0.0033;
 /// New geometry that an update may bring until the first one has arrived, bytes: over a slow link the first picture would
-/// have to wait for the whole scene. More where the connection's first messages went faster: what their rate carries in a part of a
-/// second.
+/// have to wait for the whole scene. More where the connection's first messages went faster: what their rate carries in
+/// [`GEOMETRY_S`].
 const FIRST_GEOMETRY_BYTES: usize = 131_072;
-const FIRST_GEOMETRY_S: f64 = 0.5;
 /// New geometry that any update may bring, bytes: the scene must enter even over the slowest link.
 const LEAST_GEOMETRY_BYTES: f64 = 16_384.0;
 /// The person is told of a slow link at most this often, and when updates have been withheld for this long, nanoseconds: a
@@ -211,7 +210,7 @@ impl UpdateGate {
                 later_bytes: (rate * LATER_S) as usize,
             },
             None if !self.has_arrived => {
-                let carried = (way.delivered_bytes_s as f64 * FIRST_GEOMETRY_S) as usize;
+                let carried = (way.delivered_bytes_s as f64 * GEOMETRY_S) as usize;
                 let geometry_bytes = FIRST_GEOMETRY_BYTES.max(carried);
                 Budget { geometry_bytes, later_bytes: 0, ..Budget::UNLIMITED }
             }
