@@ -15,11 +15,13 @@
 use std::any::Any;
 use std::collections::VecDeque;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use quinn_proto::RttEstimator;
 use quinn_proto::congestion::{Controller, ControllerFactory, ControllerMetrics};
 
+use crate::target::{RoundTrip, Target};
 use crate::train::Trains;
 
 /// Window of the other controllers before anything is known of the path, bytes.
@@ -63,18 +65,37 @@ const BACKOFF: f64 = 0.8;
 /// Growth of a reduced window per round trip without congestion.
 const CAP_GROWTH: f64 = 1.1;
 
-/// Makes [`Steady`] controllers.
+/// What a connection's controller tells beside quinn's metrics: how fast to send.
+#[derive(Debug, Default)]
+pub struct TargetRate(AtomicU64);
+
+impl TargetRate {
+    /// Bytes per second; `None` before anything is known of the path.
+    pub fn bytes_s(&self) -> Option<u64> {
+        Some(self.0.load(Ordering::Relaxed)).filter(|rate| *rate > 0)
+    }
+
+    fn set(&self, bytes_s: Option<f64>) {
+        self.0.store(bytes_s.unwrap_or(0.0) as u64, Ordering::Relaxed);
+    }
+}
+
+/// Makes the [`Steady`] controllers of one connection, one for each path.
 ///
 /// ```
-/// let factory = std::sync::Arc::new(shadecast_transport::congestion::SteadyConfig);
+/// let factory = std::sync::Arc::new(shadecast_transport::congestion::SteadyConfig::default());
 /// quinn_proto::TransportConfig::default().congestion_controller_factory(factory);
 /// ```
 #[derive(Debug, Default)]
-pub struct SteadyConfig;
+pub struct SteadyConfig {
+    /// What the newest path's controller tells.
+    pub target: Arc<TargetRate>,
+}
 
 impl ControllerFactory for SteadyConfig {
     fn build(self: Arc<Self>, _now: Instant, current_mtu: u16) -> Box<dyn Controller> {
-        Box::new(Steady::new(current_mtu))
+        self.target.set(None);
+        Box::new(Steady::new(current_mtu, self.target.clone()))
     }
 }
 
@@ -184,10 +205,16 @@ pub struct Steady {
     sampled_acked: u64,
     sampled_lost: u64,
     trains: Trains,
+    target: Target,
+    /// A router has marked a packet, or too many were lost, in this round trip.
+    round_is_congested: bool,
+    /// Delivered when this round trip began, bytes.
+    round_delivered_bytes: u64,
+    told: Arc<TargetRate>,
 }
 
 impl Steady {
-    fn new(mtu: u16) -> Self {
+    fn new(mtu: u16, told: Arc<TargetRate>) -> Self {
         Self {
             mtu: u64::from(mtu),
             mode: Mode::Startup { best_rate: 0.0, rounds_without_growth: 0 },
@@ -214,6 +241,10 @@ impl Steady {
             sampled_acked: 0,
             sampled_lost: 0,
             trains: Trains::default(),
+            target: Target::default(),
+            round_is_congested: false,
+            round_delivered_bytes: 0,
+            told,
         }
     }
 
@@ -314,6 +345,7 @@ impl Steady {
         let is_window_limited = std::mem::take(&mut self.round_is_window_limited);
         let rate = self.rate();
         let fastest = self.round_min_rtt.take();
+        self.note_round(now, fastest, is_window_limited);
         let queued = match (fastest, self.min_rtt) {
             (Some(now), Some(min)) => now > min.mul_f64(1.5) + STARTUP_QUEUE,
             _ => false,
@@ -339,6 +371,19 @@ impl Steady {
         let growth = |cap: f64| cap * if cap < model / 2.0 { 2.0 } else { CAP_GROWTH };
         if !self.congested {
             self.cap = self.cap.map(growth).filter(|&cap| cap < model);
+        }
+    }
+
+    /// What this round trip says of how fast to send. One with a drained window says nothing.
+    fn note_round(&mut self, end: Instant, fastest: Option<Duration>, is_full: bool) {
+        let delivered_bytes = self.delivered_bytes - self.round_delivered_bytes;
+        self.round_delivered_bytes = self.delivered_bytes;
+        let is_congested = std::mem::take(&mut self.round_is_congested);
+        let Some((fastest, path)) = fastest.zip(self.path_rtt()) else { return };
+        if !matches!(self.mode, Mode::Drain(_)) {
+            let queue = fastest.saturating_sub(path);
+            self.target.note(RoundTrip { end, delivered_bytes, queue, path, is_full, is_congested });
+            self.told.set(self.target.bytes_s());
         }
     }
 
@@ -390,6 +435,7 @@ impl Steady {
 
     fn back_off(&mut self, now: Instant, to_bytes: f64) {
         self.backed_off_at = Some(now);
+        self.round_is_congested = true;
         if matches!(self.mode, Mode::Startup { .. }) {
             self.mode = Mode::Steady;
         }
@@ -426,6 +472,10 @@ impl Controller for Steady {
 
     fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, _app_limited: bool, rtt: &RttEstimator) {
         self.trains.acked(now, sent, bytes);
+        if let Some(bytes_s) = self.trains.bytes_s().filter(|_| self.target.bytes_s().is_none()) {
+            self.target.begin(bytes_s);
+            self.told.set(self.target.bytes_s());
+        }
         self.in_flight_bytes = self.in_flight_bytes.saturating_sub(bytes);
         self.smoothed_rtt = Some(rtt.get());
         self.delivered_bytes += bytes;
@@ -542,7 +592,7 @@ mod tests {
 
     /// A controller with ten packets of each of so many milliseconds under way.
     fn with_packets(milliseconds: u64, start: Instant) -> Steady {
-        let mut steady = Steady::new(1200);
+        let mut steady = Steady::new(1200, Arc::default());
         for at in 0..milliseconds {
             (0..10).for_each(|n| steady.on_sent(start + Duration::from_millis(at), 1200, at * 10 + n));
         }

@@ -68,7 +68,7 @@ use shadecast_protocol::limits::{
 use shadecast_protocol::text::printable;
 
 use crate::arrivals::{Arrivals, Network, given_up_for};
-use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig};
+use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig, TargetRate};
 use crate::event::{Binding, CloseKind, Event, PeerId, SendError, StreamId};
 use crate::identity::tls::{self, PinVerifier};
 use crate::identity::{ClientIdentity, ExpectedIdentity, IdentityError, ServerIdentity};
@@ -198,6 +198,8 @@ pub struct PeerStats {
     pub unacknowledged_bytes: u64,
     /// The best rate at which bytes were delivered in the last round trips, bit/s; 0 before anything is known.
     pub delivered_bit_per_s: u64,
+    /// How fast to send, so that no queue stands, bit/s; 0 before anything is known.
+    pub target_bit_per_s: u64,
     /// True once the network, not what there was to send, has set that rate.
     pub bottleneck_known: bool,
 }
@@ -295,7 +297,7 @@ fn key_bytes(seed: Option<u64>, purpose: u64) -> [u8; 32] {
     )
 }
 
-fn transport_config(congestion: Congestion, is_server: bool) -> TransportConfig {
+fn transport_config(congestion: Congestion, is_server: bool, target: Arc<TargetRate>) -> TransportConfig {
     let mut config = TransportConfig::default();
     let (stream_window, connection_window) = if is_server {
         (SERVER_WINDOW_BYTES, SERVER_WINDOW_BYTES)
@@ -319,7 +321,7 @@ fn transport_config(congestion: Congestion, is_server: bool) -> TransportConfig 
         .datagram_receive_buffer_size(Some(DATAGRAM_BUFFER_BYTES))
         .datagram_send_buffer_size(DATAGRAM_BUFFER_BYTES);
     match congestion {
-        Congestion::Steady => config.congestion_controller_factory(Arc::new(SteadyConfig)),
+        Congestion::Steady => config.congestion_controller_factory(Arc::new(SteadyConfig { target })),
         Congestion::Cubic => {
             let mut cubic = congestion::CubicConfig::default();
             cubic.initial_window(INITIAL_WINDOW_BYTES);
@@ -359,7 +361,8 @@ pub struct Endpoint {
     clock: Clock,
     config: EndpointConfig,
     proto: proto::Endpoint,
-    transport: Arc<TransportConfig>,
+    /// What connections to a server begin with.
+    server: Option<proto::ServerConfig>,
     peers: BTreeMap<PeerId, Peer>,
     by_handle: HashMap<ConnectionHandle, PeerId>,
     inbox: Arc<Inbox>,
@@ -390,9 +393,8 @@ impl Endpoint {
         let mut server = proto::ServerConfig::with_crypto(tls::server_config(identity)?);
         let mut tokens = ValidationTokenConfig::default();
         tokens.sent(0);
-        let transport = Arc::new(transport_config(config.congestion, true));
-        server.validation_token_config(tokens).transport_config(transport.clone()).max_incoming(64);
-        Ok(Self::new(config, reset_key, transport, Some(Arc::new(server))))
+        server.validation_token_config(tokens).max_incoming(64);
+        Ok(Self::new(config, reset_key, Some(server)))
     }
 
     /// A client with this identity.
@@ -407,19 +409,13 @@ impl Endpoint {
     }
 
     fn new_client(identity: Result<Arc<ClientIdentity>, String>, config: EndpointConfig) -> Self {
-        let transport = Arc::new(transport_config(config.congestion, false));
         let reset_key = key_bytes(config.seed, 1);
-        let mut endpoint = Self::new(config, reset_key, transport, None);
+        let mut endpoint = Self::new(config, reset_key, None);
         endpoint.own = Some(identity);
         endpoint
     }
 
-    fn new(
-        config: EndpointConfig,
-        reset_key: [u8; 32],
-        transport: Arc<TransportConfig>,
-        server: Option<Arc<proto::ServerConfig>>,
-    ) -> Self {
+    fn new(config: EndpointConfig, reset_key: [u8; 32], server: Option<proto::ServerConfig>) -> Self {
         let is_server = server.is_some();
         let max_waiting_bytes = if is_server { SERVER_WAITING_BYTES } else { CLIENT_WAITING_BYTES };
         let reset_key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, &reset_key);
@@ -431,8 +427,8 @@ impl Endpoint {
         Self {
             clock: Clock { base: Instant::now() },
             config,
-            proto: proto::Endpoint::new(Arc::new(endpoint), server, true, None),
-            transport,
+            proto: proto::Endpoint::new(Arc::new(endpoint), server.clone().map(Arc::new), true, None),
+            server,
             peers: BTreeMap::new(),
             by_handle: HashMap::new(),
             inbox: Arc::new(Inbox::new(is_server, max_waiting_bytes)),
@@ -502,7 +498,8 @@ impl Endpoint {
         let own = own.as_ref().map_err(Clone::clone)?;
         let tls = tls::client_config(own, verifier.clone()).map_err(|e| e.to_string())?;
         let mut config = proto::ClientConfig::new(tls);
-        config.transport_config(self.transport.clone());
+        let target = Arc::new(TargetRate::default());
+        config.transport_config(Arc::new(transport_config(self.config.congestion, false, target.clone())));
         self.connects += 1;
         let cid = key_bytes(self.config.seed.map(|seed| seed.wrapping_add(self.connects)), 4);
         config.initial_dst_cid_provider(Arc::new(move || ConnectionId::new(&cid[..16])));
@@ -510,7 +507,7 @@ impl Endpoint {
             .proto
             .connect(self.clock.instant(now_ns), config, remote, tls::SERVER_NAME)
             .map_err(|e| e.to_string())?;
-        self.add_peer(now_ns, id, handle, conn, Some(verifier));
+        self.add_peer(now_ns, id, handle, (conn, target), Some(verifier));
         Ok(())
     }
 
@@ -519,12 +516,12 @@ impl Endpoint {
         now_ns: i64,
         id: PeerId,
         handle: ConnectionHandle,
-        conn: proto::Connection,
+        (conn, target): (proto::Connection, Arc<TargetRate>),
         verifier: Option<Arc<PinVerifier>>,
     ) {
         let EndpointConfig { max_stream_bytes, control_per_s, datagrams_per_s, .. } = self.config;
         let limits = PeerLimits { max_stream_bytes, control_per_s, datagrams_per_s };
-        self.peers.insert(id, Peer::new(id, handle, conn, verifier, limits, now_ns));
+        self.peers.insert(id, Peer::new(id, handle, (conn, target), verifier, limits, now_ns));
         self.by_handle.insert(handle, id);
         self.ready.insert(id);
     }
@@ -580,10 +577,15 @@ impl Endpoint {
             }
             Admission::Ignore => return self.proto.ignore(incoming),
         }
-        match self.proto.accept(incoming, self.clock.instant(now_ns), &mut response, None) {
+        let target = Arc::new(TargetRate::default());
+        let config = self.server.clone().map(|mut server| {
+            server.transport_config(Arc::new(transport_config(self.config.congestion, true, target.clone())));
+            Arc::new(server)
+        });
+        match self.proto.accept(incoming, self.clock.instant(now_ns), &mut response, config) {
             Ok((handle, conn)) => {
                 let id = PeerId(self.peer_ids.next());
-                self.add_peer(now_ns, id, handle, conn, None);
+                self.add_peer(now_ns, id, handle, (conn, target), None);
                 self.drive(now_ns, id);
             }
             Err(refused) => {
@@ -948,6 +950,7 @@ impl Endpoint {
             streams_under_way: peer.streams_under_way() as u64,
             unacknowledged_bytes: peer.unacknowledged_bytes() as u64,
             delivered_bit_per_s: congestion.pacing_rate.unwrap_or(0),
+            target_bit_per_s: peer.target.bytes_s().unwrap_or(0) * 8,
             bottleneck_known: congestion.ssthresh.is_some(),
         })
     }

@@ -20,6 +20,7 @@ mod outbox;
 pub mod pair;
 mod peer;
 mod rng;
+mod target;
 mod train;
 
 pub use arrivals::{Network, crowded};

@@ -14,6 +14,7 @@ use shadecast_protocol::limits::{MAX_CONTROL_BYTES, MAX_INSTANCES, MAX_STREAM_BY
 use shadecast_protocol::wire::{ControlReader, WireError, frame_control};
 
 use crate::allowance::Allowance;
+use crate::congestion::TargetRate;
 use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::tls::PinVerifier;
 
@@ -67,6 +68,8 @@ pub(crate) struct Peer {
     pub(crate) id: PeerId,
     pub(crate) handle: ConnectionHandle,
     pub(crate) conn: Connection,
+    /// How fast to send to it.
+    pub(crate) target: Arc<TargetRate>,
     pub(crate) remote: SocketAddr,
     /// The client's view of the server's identity; `None` on the server.
     pub(crate) verifier: Option<Arc<PinVerifier>>,
@@ -98,7 +101,7 @@ impl Peer {
     pub(crate) fn new(
         id: PeerId,
         handle: ConnectionHandle,
-        conn: Connection,
+        (conn, target): (Connection, Arc<TargetRate>),
         verifier: Option<Arc<PinVerifier>>,
         limits: PeerLimits,
         now_ns: i64,
@@ -107,6 +110,7 @@ impl Peer {
         Self {
             id,
             handle,
+            target,
             remote: conn.remote_address(),
             conn,
             verifier,

@@ -16,6 +16,8 @@ struct Stream {
     pair: Pair,
     peer: PeerId,
     picture_bytes: usize,
+    /// Pictures take no more than the target, as an encoder makes them.
+    follows_target: bool,
     /// By picture that was sent: the queue before the bottleneck then, milliseconds.
     queues_ms: Vec<f64>,
     arrived_bytes: u64,
@@ -35,7 +37,14 @@ impl Stream {
             });
         }
         let picture_bytes = (mbit_s * 1e6 / 8.0 * PERIOD_NS as f64 * 1e-9) as usize;
-        Self { pair, peer: peer.unwrap(), picture_bytes, queues_ms: Vec::new(), arrived_bytes: 0 }
+        Self {
+            pair,
+            peer: peer.unwrap(),
+            picture_bytes,
+            follows_target: false,
+            queues_ms: Vec::new(),
+            arrived_bytes: 0,
+        }
     }
 
     /// Goes on until `until_ns`; median and most of the queue from `settled_ns` on, milliseconds, and what arrived from then on, Mbit/s.
@@ -44,7 +53,10 @@ impl Stream {
         while self.pair.now_ns() < until_ns {
             let stats = self.pair.server.stats(self.peer).unwrap();
             if stats.unacknowledged_bytes <= stats.window_bytes + 2 * self.picture_bytes as u64 {
-                self.pair.server.send_stream(self.peer, vec![0; self.picture_bytes], 0).unwrap();
+                let target_bytes = (stats.target_bit_per_s as f64 / 8.0 * PERIOD_NS as f64 * 1e-9) as usize;
+                let most_bytes = if self.follows_target { target_bytes.max(1000) } else { usize::MAX };
+                let bytes = self.picture_bytes.min(most_bytes);
+                self.pair.server.send_stream(self.peer, vec![0; bytes], 0).unwrap();
             }
             let next_ns = self.pair.now_ns() + PERIOD_NS;
             while self.pair.now_ns() < next_ns {
@@ -64,6 +76,47 @@ impl Stream {
         let mbit = (self.arrived_bytes - settled_bytes.unwrap_or(0)) as f64 * 8e-6
             / ((until_ns - settled_ns) as f64 * 1e-9);
         (queues_ms[queues_ms.len() / 2], queues_ms[queues_ms.len() - 1], mbit)
+    }
+}
+
+#[test]
+fn an_encoder_that_follows_the_target_uses_the_path_and_makes_no_queue() {
+    const STEP: i64 = 10 * S;
+    let rates = [100, 8, 50, 100];
+    let steps =
+        rates.iter().zip(0..).map(|(rate, n)| (n * STEP, profile(&format!("latency=10ms,rate={rate}mbit"))));
+    for wanted_mbit in [20.0, 150.0] {
+        let mut stream = Stream::start(LinkSchedule::of_steps(steps.clone().collect()), wanted_mbit, 1);
+        stream.follows_target = true;
+        stream.pair.server.send_control(stream.peer, &[0; PADDING_BYTES]).unwrap();
+        for (rate, n) in rates.iter().zip(0..) {
+            let (_, longest_ms, early_mbit) = stream.until(n * STEP, n * STEP + 5 * S);
+            let (queue_ms, worst_ms, mbit) = stream.until(n * STEP + 5 * S, (n + 1) * STEP - S / 10);
+            let context = format!(
+                "{wanted_mbit} over {rate} Mbit/s: {queue_ms}, {worst_ms} ms, {mbit} Mbit/s; before {longest_ms} ms, {early_mbit} Mbit/s"
+            );
+            assert!(queue_ms < 25.0 && worst_ms < 100.0, "{context}");
+            assert!(mbit > 0.8 * wanted_mbit.min(f64::from(*rate)), "{context}");
+        }
+    }
+}
+
+#[test]
+fn a_target_is_not_starved_by_jitter_and_loss() {
+    for (link, least_mbit) in [
+        ("latency=23ms,jitter=20ms,rate=100mbit", 40.0),
+        ("latency=10ms,jitter=10ms,rate=100mbit", 40.0),
+        ("latency=20ms,jitter=5ms,loss=2%,rate=100mbit", 40.0),
+        ("latency=110ms,jitter=5ms,loss=5%,rate=100mbit", 30.0),
+    ] {
+        for seed in [1, 2] {
+            let mut stream = Stream::start(profile(link), 50.0, seed);
+            stream.follows_target = true;
+            stream.pair.server.send_control(stream.peer, &[0; PADDING_BYTES]).unwrap();
+            stream.until(0, 5 * S);
+            let (queue_ms, _, mbit) = stream.until(5 * S, 15 * S);
+            assert!(mbit > least_mbit, "{link}: {queue_ms} ms, {mbit} Mbit/s");
+        }
     }
 }
 
