@@ -9,7 +9,7 @@ use shadecast_gpu::{GpuOptions, Needs};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::animation::sampling::Sampling;
 use shadecast_server::atlas::surround::DEFAULT_SURROUND;
-use shadecast_server::pacing::quality::{DEFAULT_BITRATE_MBIT_S, QualityOptions};
+use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::scene::SceneOptions;
 use shadecast_server::scene::motion_library::MotionOption;
 use shadecast_server::scene::skins::Skinning;
@@ -40,10 +40,10 @@ pub struct RenderArgs {
 }
 
 impl RenderArgs {
-    /// How finely pictures are quantised.
-    pub fn quality(&self) -> QualityOptions {
+    /// How finely pictures are quantised; `usual`: unless told.
+    pub fn quality(&self, usual: QualityOptions) -> QualityOptions {
         let QualityArgs { qp, bitrate } = self.quality;
-        qp.map_or(QualityOptions::Bitrate(bitrate), QualityOptions::Constant)
+        qp.map(QualityOptions::Constant).or(bitrate).unwrap_or(usual)
     }
 
     /// What viewers are shown.
@@ -57,9 +57,18 @@ struct QualityArgs {
     /// The same quantisation for all pictures, 0 (finest) to 51, instead of one that follows --bitrate
     #[arg(long, conflicts_with = "bitrate", value_parser = value_parser!(u8).range(0..=51))]
     qp: Option<u8>,
-    /// What all streams of one client may take together, Mbit/s: pictures are quantised as finely as that allows
-    #[arg(long, value_name = "MBIT", default_value_t = DEFAULT_BITRATE_MBIT_S, value_parser = number(0.1..=1000.0, "Mbit/s"))]
-    bitrate: f64,
+    /// What all streams of one client may take together: Mbit/s, or auto for what the link carries, up to 100. Pictures are quantised as
+    /// finely as that allows [default: auto; in the lab 20]
+    #[arg(long, value_name = "MBIT", value_parser = bitrate)]
+    bitrate: Option<QualityOptions>,
+}
+
+fn bitrate(text: &str) -> Result<QualityOptions, String> {
+    if text == "auto" {
+        return Ok(QualityOptions::Auto);
+    }
+    let mbit_s = number(0.1..=1000.0, "Mbit/s")(text).map_err(|wrong| format!("{wrong}, or auto"))?;
+    Ok(QualityOptions::Bitrate(mbit_s))
 }
 
 /// How clips are sampled.

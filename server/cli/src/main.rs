@@ -21,6 +21,7 @@ use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_scene::{Cancel, Scene};
 use shadecast_server::encode::choice::{Encoders, Wanted};
+use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::scene::SceneGpu;
 use shadecast_server::serve::stream::{Device, StreamOptions, run};
 use shadecast_server::update;
@@ -309,7 +310,7 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
         admit: args.admit.0,
         reads_codes: std::io::stdin().is_terminal(),
         atlas_extent_texels: args.render.atlas,
-        quality: args.render.quality(),
+        quality: args.render.quality(QualityOptions::Auto),
         encoders,
         show: args.render.show(),
         rate_hz: args.rate,

@@ -29,6 +29,8 @@ const GEOMETRY_S: f64 = 1.0;
 const SAMPLES_S: f64 = 0.02;
 /// The same for what is shown later: a tenth of what the link carries meanwhile.
 const LATER_S: f64 = 0.0033;
+/// Of what a slow link carries, streams take this part.
+const LINK_SHARE: f64 = 0.8;
 /// New geometry that an update may bring until the first one has arrived, bytes: over a slow link the first picture would
 /// have to wait for the whole scene. More where the connection's first messages went faster: what their rate carries in
 /// [`GEOMETRY_S`].
@@ -62,6 +64,8 @@ pub struct WayState {
     pub smoothed_ns: i64,
     /// It has delivered so many bytes a second, and may carry more; 0 before anything is known.
     pub delivered_bytes_s: u64,
+    /// How much to send, bytes a second, so that no queue stands; 0 before anything is known.
+    pub target_bytes_s: u64,
 }
 
 impl From<PeerStats> for WayState {
@@ -72,6 +76,7 @@ impl From<PeerStats> for WayState {
             round_trip_ns: stats.min_rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
             smoothed_ns: stats.rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
             delivered_bytes_s: stats.delivered_bit_per_s / 8,
+            target_bytes_s: stats.target_bit_per_s / 8,
         }
     }
 }
@@ -230,6 +235,13 @@ impl UpdateGate {
         }
         self.told_ns = Some(now_ns);
         Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6 })
+    }
+
+    /// What all streams may take of the link, bytes a second, where that is known.
+    pub(crate) fn share_bytes_s(&self, way: &WayState, now_ns: i64) -> Option<f64> {
+        let target = Some(way.target_bytes_s as f64).filter(|target| *target > 0.0);
+        let of_slow = self.rate_bytes_s(now_ns).map(|rate| LINK_SHARE * rate);
+        target.into_iter().chain(of_slow).reduce(f64::min)
     }
 
     /// What the link is taken to carry, bytes a second, where it was too slow a moment ago.

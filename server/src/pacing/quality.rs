@@ -10,12 +10,16 @@
 
 use crate::pacing::density::Spare;
 use shadecast_protocol::message::Codec;
+use std::fmt;
 
 /// The quantisation parameter used unless told otherwise.
 pub const DEFAULT_QP: u8 = 22;
 
-/// What all of a client's streams may take together unless told otherwise, Mbit/s.
+/// What all of a client's streams may take together where a number is wanted and none is given, Mbit/s; what [`QualityOptions::Auto`] begins
+/// with.
 pub const DEFAULT_BITRATE_MBIT_S: f64 = 20.0;
+/// What [`QualityOptions::Auto`] takes at most, Mbit/s: what Wi-Fi at home carries beside others.
+pub const MOST_BITRATE_MBIT_S: f64 = 100.0;
 
 /// No picture is coded more finely: what is gained below is not seen.
 const FINEST_QP: u8 = 10;
@@ -32,8 +36,6 @@ const ENCODER_SHARE: f64 = 0.8;
 /// With this quantiser, or a finer one, there are bits for more texels; with that, or a coarser one, too few for those there are.
 const QP_WITH_ROOM: u8 = 20;
 const QP_WITHOUT: u8 = 28;
-/// Of what a slow link carries, this part is used.
-const LINK_SHARE: f64 = 0.8;
 /// Pictures have at least this part of the bits, however many geometry takes.
 const LEAST_PICTURE_SHARE: f64 = 0.25;
 /// Over a link that carries little there are fewer updates rather than worse ones, down to so many a second.
@@ -53,6 +55,8 @@ pub enum QualityOptions {
     Constant(u8),
     /// As fine as the streams of one client take no more than so many Mbit/s together.
     Bitrate(f64),
+    /// As fine as the link carries, up to [`MOST_BITRATE_MBIT_S`].
+    Auto,
 }
 
 impl Default for QualityOptions {
@@ -74,7 +78,17 @@ impl QualityOptions {
     pub fn first_qp(self) -> u8 {
         match self {
             Self::Constant(qp) => qp,
-            Self::Bitrate(_) => DEFAULT_QP,
+            Self::Bitrate(_) | Self::Auto => DEFAULT_QP,
+        }
+    }
+}
+
+impl fmt::Display for QualityOptions {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Constant(qp) => write!(f, "--qp {qp}"),
+            Self::Bitrate(mbit_s) => write!(f, "--bitrate {mbit_s}"),
+            Self::Auto => write!(f, "--bitrate auto"),
         }
     }
 }
@@ -102,7 +116,7 @@ pub(crate) struct Quality {
     balance_bytes: f64,
     /// Up to when both are known, nanoseconds.
     known_ns: Option<i64>,
-    /// What a slow link carries, bytes a second.
+    /// What all streams may take of the link, bytes a second.
     link_bytes_s: Option<f64>,
     /// The last update took too long, or its picture.
     is_slow: [bool; 2],
@@ -131,7 +145,7 @@ impl Quality {
         self.qp
     }
 
-    /// What the link carries, bytes a second, where it is known to be slow.
+    /// What all streams may take of the link, bytes a second, where that is known.
     pub(crate) fn note_link(&mut self, bytes_s: Option<f64>) {
         self.link_bytes_s = bytes_s;
     }
@@ -177,7 +191,7 @@ impl Quality {
     /// Of the next picture where it must need no other, and of those after it: all of it costs bits anew, which what stands still
     /// cost once.
     pub(crate) fn refresh_qp(&mut self) -> u8 {
-        if matches!(self.options, QualityOptions::Bitrate(_)) {
+        if !matches!(self.options, QualityOptions::Constant(_)) {
             self.qp = self.qp.max(DEFAULT_QP);
         }
         self.qp
@@ -207,32 +221,35 @@ impl Quality {
     /// What a picture may take, bytes, where all streams together may take so many a second.
     fn picture_bytes(&self, bytes_s: f64) -> f64 {
         let left_bytes_s = bytes_s - self.others_bytes_s + self.balance_bytes / BALANCE_S;
-        let period_s =
-            if self.is_link_short() { self.period_s.max(1.0 / SLOW_UPDATES_HZ) } else { self.period_s };
+        let slow_period_s = self.period_s.max(1.0 / SLOW_UPDATES_HZ);
+        let period_s = (self.period_s * self.shortness()).min(slow_period_s);
         left_bytes_s.max(LEAST_PICTURE_SHARE * bytes_s) * period_s
     }
 
     /// What all streams together may take, bytes a second; `None`: what they take.
     fn bytes_s(&self) -> Option<f64> {
-        let asked_bytes_s = self.asked_bytes_s()?;
-        Some(self.link_share_bytes_s().map_or(asked_bytes_s, |link| link.min(asked_bytes_s)))
-    }
-
-    fn asked_bytes_s(&self) -> Option<f64> {
+        let (usual, most) = (bytes_s(DEFAULT_BITRATE_MBIT_S), bytes_s(MOST_BITRATE_MBIT_S));
         match self.options {
-            QualityOptions::Bitrate(mbit_s) => Some(mbit_s * 1e6 / 8.0),
             QualityOptions::Constant(_) => None,
+            QualityOptions::Bitrate(mbit_s) => {
+                Some(self.link_bytes_s.unwrap_or(f64::MAX).min(bytes_s(mbit_s)))
+            }
+            QualityOptions::Auto => Some(self.link_bytes_s.unwrap_or(usual).min(most)),
         }
     }
 
-    fn link_share_bytes_s(&self) -> Option<f64> {
-        self.link_bytes_s.map(|bytes_s| bytes_s * LINK_SHARE)
+    /// How many times less the link carries than a stream usually takes, or was asked to take; 1: no less.
+    fn shortness(&self) -> f64 {
+        let asked_mbit_s = match self.options {
+            QualityOptions::Bitrate(mbit_s) => mbit_s,
+            QualityOptions::Constant(_) | QualityOptions::Auto => DEFAULT_BITRATE_MBIT_S,
+        };
+        self.link_bytes_s.map_or(1.0, |link| (bytes_s(asked_mbit_s) / link).max(1.0))
     }
+}
 
-    /// Whether the link carries less than was asked for.
-    fn is_link_short(&self) -> bool {
-        self.link_share_bytes_s().zip(self.asked_bytes_s()).is_some_and(|(link, asked)| link < asked)
-    }
+fn bytes_s(mbit_s: f64) -> f64 {
+    mbit_s * 1e6 / 8.0
 }
 
 #[cfg(test)]

@@ -182,7 +182,7 @@ impl<U: Updates> Viewer<U> {
 
     /// An update is to be made now, by what is given back. Over a way of which nothing is known it may take what it wants.
     pub fn begin(&mut self, way: Option<&WayState>, now_ns: i64) -> &mut U {
-        self.quality.note_link(way.and_then(|_| self.gate.rate_bytes_s(now_ns)));
+        self.quality.note_link(way.and_then(|way| self.gate.share_bytes_s(way, now_ns)));
         self.updates.set_budget(way.map_or(Budget::UNLIMITED, |way| self.gate.budget(way, now_ns)));
         self.updates.set_spare(self.quality.spare());
         self.updates.set_measures(self.relief.measures());

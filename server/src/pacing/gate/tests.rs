@@ -35,7 +35,7 @@ impl SlowLink {
             window_bytes: self.window_bytes,
             round_trip_ns: 40_000_000,
             smoothed_ns: 40_000_000,
-            delivered_bytes_s: 0,
+            ..WayState::default()
         }
     }
 

@@ -112,7 +112,7 @@ fn what_a_still_scene_leaves_makes_no_burst_and_a_flood_starves_nothing_for_long
 #[test]
 fn a_slow_link_has_less_and_a_slow_encoder_is_given_nothing_finer() {
     let (mut quality, mut scene) = (quality(), Scene::new(10_000.0, 0.0));
-    quality.note_link(Some(125_000.0)); // 1 Mbit/s
+    quality.note_link(Some(100_000.0));
     let (bytes, _) = run(&mut quality, &mut scene, 60)[59];
     assert!((7_000..=10_000).contains(&bytes), "{bytes}: ten pictures a second");
     let mut quality = Quality::new(QualityOptions::default(), PERIOD_NS);
@@ -120,6 +120,26 @@ fn a_slow_link_has_less_and_a_slow_encoder_is_given_nothing_finer() {
     assert_eq!(quality.qp(), DEFAULT_QP - 4);
     (0..30).for_each(|_| note(&mut quality, sent(10, 0.03)));
     assert_eq!(quality.qp(), DEFAULT_QP);
+}
+
+#[test]
+fn pictures_follow_the_link_where_no_number_is_given() {
+    let mut quality = Quality::new(QualityOptions::Auto, PERIOD_NS);
+    let mut scene = Scene::new(200_000.0, 0.0);
+    for (link_mbit_s, taken) in [(None, 18.0..=20.2), (Some(60.0), 54.0..=60.6), (Some(400.0), 90.0..=101.0)]
+    {
+        quality.note_link(link_mbit_s.map(bytes_s));
+        let mbit_s = last_mbit_s(&run(&mut quality, &mut scene, 90));
+        assert!(taken.contains(&mbit_s), "{link_mbit_s:?}: {mbit_s} Mbit/s");
+    }
+}
+
+#[test]
+fn a_little_less_than_asked_makes_no_larger_pictures() {
+    let mut quality = quality();
+    quality.note_link(Some(bytes_s(18.0)));
+    let mbit_s = last_mbit_s(&run(&mut quality, &mut Scene::new(200_000.0, 0.0), 90));
+    assert!((16.0..=20.2).contains(&mbit_s), "{mbit_s} Mbit/s");
 }
 
 #[test]

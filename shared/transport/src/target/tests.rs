@@ -98,7 +98,9 @@ fn marks_and_much_loss_lower_it_without_a_queue() {
         target.note(RoundTrip { end, delivered_bytes: 50_000, queue, path, is_full: false, is_congested });
         target.bytes_s()
     };
-    (0..10).for_each(|_| drop(note(false)));
+    (0..10).for_each(|_| {
+        note(false);
+    });
     let before = note(false).unwrap();
     note(true);
     note(true);

@@ -8,6 +8,7 @@ use shadecast_lab::experiments::viewers::run_each;
 use shadecast_lab::session::options::{
     Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, ViewerOptions, parse_room,
 };
+use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::pacing::room::Room;
 use shadecast_server::update::ShowOptions;
 use shadecast_server::update::policy::UpdatePolicy;
@@ -153,7 +154,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         extent_pixels: args.size,
         fov_degrees: args.fov,
         rate_hz: args.rate,
-        quality: args.render.quality(),
+        quality: args.render.quality(QualityOptions::default()),
         atlas_extent_texels: args.render.atlas,
         trace: args.render.trace,
         detail_pixels,

@@ -357,12 +357,8 @@ impl RunOptions {
         if self.atlas_extent_texels != usual.atlas_extent_texels {
             line += &format!(" --atlas {}", self.atlas_extent_texels);
         }
-        match self.quality {
-            QualityOptions::Constant(qp) => line += &format!(" --qp {qp}"),
-            QualityOptions::Bitrate(mbit_s) if self.quality != usual.quality => {
-                line += &format!(" --bitrate {mbit_s}");
-            }
-            QualityOptions::Bitrate(_) => {}
+        if self.quality != usual.quality {
+            line += &format!(" {}", self.quality);
         }
         if self.detail_pixels != usual.detail_pixels {
             line += &format!(" --detail {}", self.detail_pixels);
