@@ -116,14 +116,17 @@ pub struct Shortfall {
     pub carries_mbit_s: f64,
     /// What updates at the wanted rate would take.
     pub needs_mbit_s: f64,
+    /// Updates a second that are wanted.
+    pub wanted_hz: f64,
 }
 
 impl std::fmt::Display for Shortfall {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { carries_mbit_s, needs_mbit_s } = self;
+        let Self { carries_mbit_s, needs_mbit_s, wanted_hz } = self;
+        let shown_hz = wanted_hz * carries_mbit_s / needs_mbit_s;
         write!(
             f,
-            "the link carries {carries_mbit_s:.1} of {needs_mbit_s:.1} Mbit/s that the scene needs: fewer updates are sent"
+            "the link carries {carries_mbit_s:.1} of {needs_mbit_s:.1} Mbit/s that the scene needs: about {shown_hz:.0} of {wanted_hz:.0} updates a second are sent"
         )
     }
 }
@@ -234,7 +237,8 @@ impl UpdateGate {
             return None;
         }
         self.told_ns = Some(now_ns);
-        Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6 })
+        let wanted_hz = 1e9 / self.period_ns as f64;
+        Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6, wanted_hz })
     }
 
     /// What all streams may take of the link, bytes a second, where that is known.

@@ -172,8 +172,11 @@ fn the_person_is_told_what_the_link_carries_and_not_more_often_than_they_want_to
     }
     assert!((1..=3).contains(&told.len()), "{told:?}");
     assert!((0.8..1.2).contains(&told[0].carries_mbit_s) && told[0].needs_mbit_s > 2.0, "{told:?}");
-    let text = Shortfall { carries_mbit_s: 1.0, needs_mbit_s: 6.34 }.to_string();
-    assert_eq!(text, "the link carries 1.0 of 6.3 Mbit/s that the scene needs: fewer updates are sent");
+    let text = Shortfall { carries_mbit_s: 1.0, needs_mbit_s: 6.34, wanted_hz: 30.0 }.to_string();
+    assert_eq!(
+        text,
+        "the link carries 1.0 of 6.3 Mbit/s that the scene needs: about 5 of 30 updates a second are sent"
+    );
 }
 
 /// A second of it, the frames counted on.
