@@ -116,7 +116,10 @@ impl Target {
 
     /// A round trip has ended.
     pub(crate) fn note(&mut self, round: RoundTrip) {
-        let window = self.window.get_or_insert(Window::at(round.end));
+        let Some(window) = &mut self.window else {
+            self.window = Some(Window::at(round.end));
+            return;
+        };
         window.delivered_bytes += round.delivered_bytes;
         window.queue = window.queue.min(round.queue);
         window.is_full &= round.is_full;
@@ -127,7 +130,7 @@ impl Target {
         }
         let (seen, delivered_bytes_s) = (*window, window.delivered_bytes as f64 / elapsed.as_secs_f64());
         self.window = Some(Window::at(round.end));
-        let target = self.bytes_s.unwrap_or(delivered_bytes_s);
+        let target = self.bytes_s.unwrap_or(FAST_BYTES_S);
         let most_s = if seen.is_full { OF_ROUND_TRIP * round.path.as_secs_f64() } else { f64::MAX };
         let over_s = seen.queue.as_secs_f64() - self.usual.long_s().min(most_s);
         self.usual.note(seen.queue.as_secs_f64());
@@ -137,9 +140,10 @@ impl Target {
             let fallen = OF_DELIVERED * delivered_bytes_s * halved;
             fallen.clamp(LEAST_PART * target, target)
         } else if delivered_bytes_s >= USED * target {
-            target * self.growth(target, elapsed)
+            (target * self.growth(target, elapsed)).max(delivered_bytes_s)
         } else {
-            target
+            // What little was sent says nothing.
+            return;
         };
         self.bytes_s = Some(next.max(LEAST_BYTES_S));
     }

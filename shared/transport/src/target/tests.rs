@@ -24,7 +24,7 @@ impl Path {
         let round_s = Self::ROUND_NS as f64 * 1e-9;
         let (mut arrived, mut queues_ms, rounds) = (0.0, Vec::new(), (seconds / round_s) as u64);
         for _ in 0..rounds {
-            let may_s = self.target.bytes_s().unwrap_or(1.5e6).min(wanted_mbit_s * 1e6 / 8.0);
+            let may_s = self.target.bytes_s().unwrap_or(FAST_BYTES_S).min(wanted_mbit_s * 1e6 / 8.0);
             self.queued_bytes += may_s * round_s;
             let delivered = self.queued_bytes.min(self.bytes_s * round_s);
             self.queued_bytes -= delivered;
@@ -68,18 +68,18 @@ fn steps_of_the_rate_are_followed() {
     path.change(8.0);
     path.run(2.0, 60.0);
     let (arrived, [queue_ms, longest_ms]) = path.run(13.0, 60.0);
-    assert!(arrived > 6.4 && queue_ms < 30.0, "{arrived} Mbit/s, {queue_ms}, {longest_ms} ms");
+    assert!(arrived > 6.4 && queue_ms < 40.0, "{arrived} Mbit/s, {queue_ms}, {longest_ms} ms");
     path.change(50.0);
     path.run(5.0, 60.0);
     let (arrived, [queue_ms, longest_ms]) = path.run(10.0, 60.0);
-    assert!(arrived > 40.0 && queue_ms < 30.0, "{arrived} Mbit/s, {queue_ms}, {longest_ms} ms");
+    assert!(arrived > 40.0 && queue_ms < 40.0, "{arrived} Mbit/s, {queue_ms}, {longest_ms} ms");
 }
 
 #[test]
 fn what_is_not_used_does_not_grow() {
     let mut path = Path::new(100.0);
     path.run(5.0, 10.0);
-    let target_mbit_s = path.target.bytes_s().unwrap() * 8e-6;
+    let target_mbit_s = path.target.bytes_s().unwrap_or(0.0) * 8e-6;
     assert!(target_mbit_s < 20.0, "{target_mbit_s} Mbit/s");
     let (arrived, _) = path.run(5.0, 10.0);
     assert!((9.9..10.1).contains(&arrived), "{arrived} Mbit/s");
@@ -88,6 +88,7 @@ fn what_is_not_used_does_not_grow() {
 #[test]
 fn marks_and_much_loss_lower_it_without_a_queue() {
     let mut target = Target::default();
+    target.begin(1_200_000.0);
     let start = Instant::now();
     let mut at_ms = 0;
     let mut note = |is_congested| {
@@ -98,12 +99,10 @@ fn marks_and_much_loss_lower_it_without_a_queue() {
         target.note(RoundTrip { end, delivered_bytes: 50_000, queue, path, is_full: false, is_congested });
         target.bytes_s()
     };
-    (0..10).for_each(|_| {
-        note(false);
-    });
     let before = note(false).unwrap();
-    note(true);
-    note(true);
+    (0..3).for_each(|_| {
+        note(true);
+    });
     let after = note(true).unwrap();
     assert!(after < 0.9 * before && after >= LEAST_PART * before, "{before} then {after}");
 }
@@ -121,4 +120,23 @@ fn a_train_begins_it() {
     let mut none = Target::default();
     none.begin(0.0);
     assert_eq!(none.bytes_s(), Some(LEAST_BYTES_S));
+}
+
+#[test]
+fn little_traffic_says_nothing_of_the_path() {
+    let mut target = Target::default();
+    let start = Instant::now();
+    for round in 1..20 {
+        let end = start + Duration::from_millis(40 * round);
+        let (queue, path) = (Duration::ZERO, Duration::from_millis(40));
+        target.note(RoundTrip {
+            end,
+            delivered_bytes: 1000,
+            queue,
+            path,
+            is_full: false,
+            is_congested: false,
+        });
+    }
+    assert_eq!(target.bytes_s(), None);
 }
