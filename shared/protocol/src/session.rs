@@ -13,6 +13,7 @@ use crate::limits::{
     MAX_ACCESS_UNIT_BYTES, MAX_FRAMES_AHEAD, MAX_QUEUED_STREAM_BYTES, MAX_QUEUED_STREAMS, PADDING_BYTES,
     RECORDS_PER_SLOT_AND_TURN,
 };
+use crate::memory::ClientMemory;
 use crate::message::{
     ClientDatagram, ClientHello, ClientMessage, Codec, Displayed, HeadState, HelloVersions, MotionMemory,
     Refused, ServerDatagram, ServerMessage, ServerOffer, Welcome, negotiate, negotiate_version,
@@ -185,6 +186,8 @@ pub struct ClientSession {
     unanswered: Option<(ClientTime, u32)>,
     /// When the connection brought something last, whatever it was; `None` where nobody says.
     alive: Option<ClientTime>,
+    /// It has brought nothing for a while: nothing is said that would be old when it arrives.
+    is_quiet: bool,
     decoder: Option<DeltaDecoder>,
     next_delta: u32,
     /// The last update's delta that was handed on, and one more.
@@ -255,6 +258,7 @@ impl ClientSession {
             outstanding: VecDeque::new(),
             unanswered: None,
             alive: None,
+            is_quiet: false,
             decoder: None,
             next_delta: 0,
             next_update: UpdateId(0),
@@ -312,13 +316,14 @@ impl ClientSession {
             return; // the server answers no pings to a stranger
         }
         self.clock.settle();
+        self.listen(now);
         self.records_left = if self.is_held_back { 0 } else { self.records_per_turn };
         if !self.is_held_back {
             self.motion_words_left = self.motion_words;
         }
         let result = self.hand_on_motion().and_then(|()| self.hand_on_deltas());
         self.end_on_error(result);
-        if self.phase != Phase::Ended && now >= self.next_ping {
+        if self.phase != Phase::Ended && now >= self.next_ping && !self.is_quiet {
             self.ping(now);
         }
     }
@@ -327,6 +332,19 @@ impl ClientSession {
     /// notice.
     pub fn note_alive(&mut self, now: ClientTime) {
         self.alive = Some(now);
+    }
+
+    /// Follows whether the connection brings anything. What was asked in an outage says nothing of the server.
+    fn listen(&mut self, now: ClientTime) {
+        self.is_quiet = self.alive.is_some_and(|alive| now.since(alive) >= ALIVE_NS);
+        if self.is_quiet {
+            (self.unanswered, self.next_ping) = (None, now);
+        }
+    }
+
+    /// Whether the connection has brought nothing for a second: what is said now would be old when it arrives.
+    pub fn is_quiet(&self) -> bool {
+        self.is_quiet
     }
 
     /// Whether a server that has welcomed this client has stopped to answer. A client that slept has asked little meanwhile.
@@ -358,6 +376,11 @@ impl ClientSession {
         self.is_held_back = is_held_back;
     }
 
+    /// The client's memory as of the last delta that was handed on; `None` before the welcome.
+    pub fn memory(&self) -> Option<&ClientMemory> {
+        self.decoder.as_ref().map(DeltaDecoder::memory)
+    }
+
     /// Bytes of the streams that wait.
     pub fn waiting_bytes(&self) -> usize {
         self.waiting.bytes
@@ -375,9 +398,9 @@ impl ClientSession {
         (self.phase != Phase::Ended).then_some(self.next_ping)
     }
 
-    /// Sends the head's state.
+    /// Sends the head's state, unless the connection is quiet.
     pub fn send_pose(&mut self, head: HeadState) {
-        if self.phase == Phase::Running {
+        if self.phase == Phase::Running && !self.is_quiet {
             self.out.push_back(Out::Datagram(ClientDatagram::Pose(head).encode()));
         }
     }

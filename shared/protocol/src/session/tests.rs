@@ -237,10 +237,17 @@ fn a_server_that_answers_no_pings_is_left_after_two_seconds() {
         (from..to).for_each(|i| pair.client.on_tick(NOW.plus_ns(i * PING_NS)));
         pair.client.is_alive()
     };
+    pair.client.note_alive(NOW);
     let silent = SILENCE_NS / PING_NS;
     assert!(ticks(&mut pair, 1, 2 * silent), "a network that carries nothing");
-    pair.client.note_alive(NOW.plus_ns(2 * SILENCE_NS));
-    assert!(!ticks(&mut pair, 2 * silent, 2 * silent + 2), "a connection that lives");
+    let lives = |pair: &mut Pair, from: i64, to: i64| {
+        (from..to).all(|i| {
+            pair.client.note_alive(NOW.plus_ns(i * PING_NS));
+            ticks(pair, i, i + 1)
+        })
+    };
+    assert!(lives(&mut pair, 2 * silent, 3 * silent), "what was asked before says nothing");
+    assert!(!lives(&mut pair, 3 * silent, 3 * silent + 3), "a connection that lives");
     let events: Vec<_> = std::iter::from_fn(|| pair.client.poll_event()).collect();
     assert_eq!(events.last(), Some(&ClientEvent::Silent));
 }
@@ -260,6 +267,27 @@ fn a_client_that_slept_hears_what_came_before_it_gives_the_server_up() {
     pair.client.note_alive(awake.plus_ns(300_000_000));
     (0..40).for_each(|i| pair.client.on_tick(awake.plus_ns(300_000_000 + i * PING_NS)));
     assert!(pair.client.is_alive());
+}
+
+#[test]
+fn after_an_outage_the_server_has_its_two_seconds_again_and_meanwhile_nothing_is_said() {
+    for outage_ns in [2_500_000_000, 59_000_000_000] {
+        let mut pair = Pair::connected();
+        pair.client.note_alive(NOW);
+        let mut said = 0;
+        for i in 1..outage_ns / PING_NS {
+            let now = NOW.plus_ns(i * PING_NS);
+            pair.client.on_tick(now);
+            pair.client.send_pose(head(i as u32));
+            said += std::iter::from_fn(|| pair.client.poll_out()).count();
+        }
+        assert!(said <= 2 * (ALIVE_NS / PING_NS) as usize + 2, "{said} datagrams in a quiet connection");
+        let back = NOW.plus_ns(outage_ns);
+        pair.client.note_alive(back);
+        pair.client.on_tick(back);
+        assert!(pair.client.is_alive() && !pair.client.is_quiet());
+        assert_eq!(std::iter::from_fn(|| pair.client.poll_out()).count(), 1, "a ping at once");
+    }
 }
 
 #[test]
