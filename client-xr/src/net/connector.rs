@@ -85,7 +85,8 @@ impl Listener for Intake {
             Event::Stream { bytes, at_ns, .. } => self.receive_stream(ClientTime(at_ns), &bytes),
             Event::StreamReset { head, .. } => self.receive_reset(monotonic_now(), &head),
             Event::Datagram { bytes, at_ns, .. } => self.receive_datagram(ClientTime(at_ns), &bytes),
-            Event::Connected { .. } | Event::Closed { .. } => {} // told by the lines
+            // Told by the lines.
+            Event::Connected { .. } | Event::Away { .. } | Event::Back { .. } | Event::Closed { .. } => {}
         }
     }
 
@@ -426,6 +427,14 @@ impl Connector {
                 self.trust.lost();
                 listener.on_closed(monotonic_now());
                 self.report_closed(listener, kind, &reason);
+            }
+            LineEvent::Away => {
+                let text = format!("Nothing comes from {}; the session goes on when it does", self.server);
+                self.report(listener, Tone::Trouble, &text);
+            }
+            LineEvent::Back => {
+                self.told.clear();
+                self.report(listener, Tone::News, &format!("{} is heard again", self.server));
             }
             LineEvent::Arrived(event) => {
                 if let Event::Stream { bytes, at_ns, .. } = &event {

@@ -40,6 +40,10 @@ pub(super) enum LineEvent {
         /// Why, for users.
         reason: String,
     },
+    /// Nothing comes over the connection, which stands.
+    Away,
+    /// Something comes again.
+    Back,
     /// Something came over the connection.
     Arrived(Event),
 }
@@ -148,14 +152,17 @@ impl Lines {
                 Some(LineEvent::Connected { address: line.address, fingerprint, binding })
             }
             Event::Closed { peer, kind, reason } => self.closed(now, (socket, peer), kind, reason),
+            Event::Away { peer, .. } => self.is_live(socket, peer).then_some(LineEvent::Away),
+            Event::Back { peer, .. } => self.is_live(socket, peer).then_some(LineEvent::Back),
             Event::Control { peer, .. }
             | Event::Stream { peer, .. }
             | Event::StreamReset { peer, .. }
-            | Event::Datagram { peer, .. } => {
-                let is_live = self.live.is_some_and(|line| (line.socket, line.peer) == (socket, peer));
-                is_live.then_some(LineEvent::Arrived(event))
-            }
+            | Event::Datagram { peer, .. } => self.is_live(socket, peer).then_some(LineEvent::Arrived(event)),
         }
+    }
+
+    fn is_live(&self, socket: usize, peer: PeerId) -> bool {
+        self.live.is_some_and(|line| (line.socket, line.peer) == (socket, peer))
     }
 
     fn take_attempt(&mut self, socket: usize, peer: PeerId) -> Option<Line> {
@@ -180,7 +187,7 @@ impl Lines {
         kind: CloseKind,
         reason: String,
     ) -> Option<LineEvent> {
-        if self.live.is_some_and(|line| (line.socket, line.peer) == (socket, peer)) {
+        if self.is_live(socket, peer) {
             self.live = None;
             self.dialler.lost();
             return Some(LineEvent::Lost { kind, reason });

@@ -146,7 +146,8 @@ impl Link {
         decoding.set_round_trip(session.clock().rtt_ns().unwrap_or(0));
         decoding.advance(now, |decoded| unused.extend(take(*serial, decoded)));
         unused.into_iter().for_each(|picture| decoding.recycle(picture));
-        let request = decoding.refresh_request(now);
+        // What is missing may be under way since before an outage.
+        let request = if session.is_quiet() { None } else { decoding.refresh_request(now) };
         let has_asked = request.is_some();
         request.into_iter().for_each(|after| session.request_refresh(after));
         let lost = decoding.take_lost();
@@ -225,7 +226,8 @@ impl Link {
 
     fn send_report(&mut self, serial: u64, now: ClientTime) {
         let report = self.reports.next;
-        let Some(connection) = self.of_serial(serial) else { return };
+        // One report says as much as many that wait.
+        let Some(connection) = self.of_serial(serial).filter(|c| !c.session.is_quiet()) else { return };
         connection.session.send_displayed(report);
         let Displayed { update: frame, display_time, decode_to_display_ns, .. } = report;
         let next = Displayed { update: frame, display_time, decode_to_display_ns, ..Displayed::default() };

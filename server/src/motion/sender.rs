@@ -146,6 +146,8 @@ pub struct MotionSender {
     now: Option<WorldTime>,
     /// What the client knows of how the world's time goes on.
     clock: WorldClock,
+    /// The way to the client carries nothing.
+    is_away: bool,
 }
 
 impl MotionSender {
@@ -173,7 +175,13 @@ impl MotionSender {
             change_lead_ns: START_LEAD_NS,
             now: None,
             clock: WorldClock::default(),
+            is_away: false,
         }
+    }
+
+    /// Whether the way to the client carries nothing: it is sent nothing then, and what it missed of what still matters after.
+    pub(crate) fn set_away(&mut self, is_away: bool) {
+        self.is_away = is_away;
     }
 
     /// Its samples are coded by this.
@@ -219,6 +227,9 @@ impl MotionSender {
 
     /// What is to be sent at `now`. `way`: that to the client, as far as anything is known of it.
     pub fn tick(&mut self, now: ServerTime, way: Option<&WayState>) -> Vec<Out> {
+        if self.is_away {
+            return Vec::new();
+        }
         self.note_way(way);
         self.steps.pass(now);
         self.later.pass(now);

@@ -54,6 +54,8 @@ pub struct Reported {
     pub refresh: bool,
     /// Whether somebody looks, where that was told.
     pub watching: Option<bool>,
+    /// Whether the way to it carries nothing, where that has changed.
+    pub away: Option<bool>,
     /// That the world stands, or goes on: for whoever has the world.
     pub steering: Option<Steering>,
 }
@@ -101,6 +103,8 @@ pub struct Viewer<U> {
     refresh: bool,
     /// False while nobody looks: nothing is shaded then.
     is_watched: bool,
+    /// The way to it carries nothing: nothing is made that would be old when it arrives.
+    is_away: bool,
     motion: Option<SharedMotion>,
     last: UpdateId,
 }
@@ -118,6 +122,7 @@ impl<U: Updates> Viewer<U> {
             quality: Quality::new(quality, period_ns),
             refresh: false,
             is_watched: true,
+            is_away: false,
         }
     }
 
@@ -145,6 +150,21 @@ impl<U: Updates> Viewer<U> {
         reported.displayed.iter().for_each(|report| self.updates.displayed(report));
         self.refresh |= reported.refresh;
         reported.watching.into_iter().for_each(|is_watched| self.watch(is_watched));
+        reported.away.into_iter().for_each(|is_away| self.set_away(is_away));
+    }
+
+    /// Whether updates are wanted: somebody looks, and the way to the client carries something.
+    pub fn wants_updates(&self) -> bool {
+        self.is_watched && !self.is_away
+    }
+
+    /// Nothing is made while the way carries nothing. What was sent before waits in the transport and arrives in order, so that
+    /// the client's memory is what the model says when it goes on.
+    fn set_away(&mut self, is_away: bool) {
+        if std::mem::replace(&mut self.is_away, is_away) != is_away {
+            self.updates.interrupted();
+            self.motion.iter().for_each(|motion| lock(motion).set_away(is_away));
+        }
     }
 
     /// Nothing is shaded while nobody looks. When somebody looks again, the first picture needs no other.

@@ -15,7 +15,7 @@
 use std::any::Any;
 use std::collections::VecDeque;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 use quinn_proto::RttEstimator;
@@ -44,6 +44,8 @@ const RATE_ROUNDS: u64 = 10;
 const PLATEAU_ROUNDS: u32 = 3;
 /// A queue that delays a whole round trip's packets by this much more than half of the shortest one ends startup.
 const STARTUP_QUEUE: Duration = Duration::from_millis(10);
+/// Window for a probe, bytes: more than can be under way, and so much that quinn does not pace it.
+const PROBE_WINDOW_BYTES: u64 = 1 << 40;
 /// Largest window, bytes.
 const MAX_WINDOW_BYTES: u64 = 64 << 20;
 /// Round trips count as at least this: on a shorter path delayed acknowledgements and late threads rule.
@@ -62,6 +64,11 @@ const CONGESTION_LOSS: f64 = 0.12;
 const LOSS_SAMPLE_BYTES: u64 = 100 * 1200;
 /// What remains of the window after congestion.
 const BACKOFF: f64 = 0.8;
+/// Nothing acknowledged for so long, and for [`OUTAGE_ROUNDS`] round trips, of what was sent meanwhile: an outage.
+const OUTAGE: Duration = Duration::from_millis(250);
+const OUTAGE_ROUNDS: u32 = 3;
+/// What remains of a known window after one.
+const OUTAGE_PART: f64 = 0.5;
 /// Growth of a reduced window per round trip without congestion.
 const CAP_GROWTH: f64 = 1.1;
 
@@ -90,12 +97,36 @@ impl TargetRate {
 pub struct SteadyConfig {
     /// What the newest path's controller tells.
     pub target: Arc<TargetRate>,
+    probing: Probing,
+}
+
+impl SteadyConfig {
+    /// Its controllers let a probe pass while `probing` says so.
+    pub(crate) fn with_probing(probing: &Probing) -> Self {
+        Self { probing: probing.clone(), target: Arc::default() }
+    }
 }
 
 impl ControllerFactory for SteadyConfig {
     fn build(self: Arc<Self>, _now: Instant, current_mtu: u16) -> Box<dyn Controller> {
         self.target.set(None);
-        Box::new(Steady::new(current_mtu, self.target.clone()))
+        let steady = Steady::new(current_mtu, self.target.clone());
+        Box::new(Steady { probing: self.probing.clone(), ..steady })
+    }
+}
+
+/// Whether the packet that is being made is a probe of a silent path. What was lost there still counts as under way until
+/// something is acknowledged, and would keep every probe back. Shared by an endpoint and its controllers.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Probing(Arc<AtomicBool>);
+
+impl Probing {
+    pub(crate) fn set(&self, is_probe: bool) {
+        self.0.store(is_probe, Ordering::Relaxed);
+    }
+
+    fn is_set(&self) -> bool {
+        self.0.load(Ordering::Relaxed)
     }
 }
 
@@ -211,6 +242,7 @@ pub struct Steady {
     /// Delivered when this round trip began, bytes.
     round_delivered_bytes: u64,
     told: Arc<TargetRate>,
+    probing: Probing,
 }
 
 impl Steady {
@@ -245,6 +277,7 @@ impl Steady {
             round_is_congested: false,
             round_delivered_bytes: 0,
             told,
+            probing: Probing::default(),
         }
     }
 
@@ -429,6 +462,22 @@ impl Steady {
         (self.sampled_acked, self.sampled_lost) = (0, 0);
     }
 
+    /// The first acknowledgement after an outage is here. What was lost in it says nothing of the rate, and the path is mostly the
+    /// one of before.
+    fn note_outage(&mut self, now: Instant) {
+        let longest = OUTAGE.max(self.smoothed_rtt.unwrap_or_default() * OUTAGE_ROUNDS);
+        let is_long = |since: Instant| now.saturating_duration_since(since) > longest;
+        let waiting =
+            self.batches.iter().find(|batch| self.last_acked_sent.is_none_or(|last| batch.sent > last));
+        if !self.delivered_at.is_some_and(is_long) || !waiting.is_some_and(|batch| is_long(batch.sent)) {
+            return;
+        }
+        self.backed_off_at = Some(now);
+        if !matches!(self.mode, Mode::Startup { .. }) {
+            self.cap = Some((self.model_window() as f64 * OUTAGE_PART).max(self.min_window() as f64));
+        }
+    }
+
     fn is_answered_for(&self, sent: Instant) -> bool {
         self.backed_off_at.is_some_and(|at| sent <= at)
     }
@@ -471,6 +520,7 @@ impl Controller for Steady {
     }
 
     fn on_ack(&mut self, now: Instant, sent: Instant, bytes: u64, _app_limited: bool, rtt: &RttEstimator) {
+        self.note_outage(now);
         self.trains.acked(now, sent, bytes);
         if let Some(bytes_s) = self.trains.bytes_s().filter(|_| self.target.bytes_s().is_none()) {
             self.target.begin(bytes_s);
@@ -544,7 +594,7 @@ impl Controller for Steady {
             self.back_off(now, self.limit().min(self.in_flight_bytes) as f64 * BACKOFF);
             (self.sampled_acked, self.sampled_lost) = (0, 0);
         }
-        if is_persistent_congestion {
+        if is_persistent_congestion && !self.is_answered_for(sent) {
             self.back_off(now, 0.0);
             self.congested = true;
             (self.sampled_acked, self.sampled_lost) = (0, 0);
@@ -558,6 +608,9 @@ impl Controller for Steady {
 
     /// quinn takes one number for what may be under way and for the pace. While there is room it is the pace that counts.
     fn window(&self) -> u64 {
+        if self.probing.is_set() {
+            return PROBE_WINDOW_BYTES;
+        }
         let limit = self.limit();
         if self.is_full() { limit } else { self.pacing_window().map_or(limit, |pacing| pacing.max(limit)) }
     }

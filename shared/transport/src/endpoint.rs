@@ -35,7 +35,10 @@
 //!
 //! # Failures
 //!
-//! A peer that falls silent is noticed after [`IDLE_TIMEOUT`]. A server that was restarted with the same identity
+//! A connection outlives an outage of up to [`IDLE_TIMEOUT`]: neither side forgets it, and what was on its way is sent again, in
+//! order, when the path carries something. A silent path is asked ten times a second, past the congestion window, which is full
+//! of what was lost (module `silence`). After [`AWAY_AFTER`] the application learns that the peer is away. A client whose
+//! address changes is answered at the new one, where its congestion state starts anew. A server that was restarted with the same identity
 //! answers the packets of connections it does not know with a reset, so that its clients notice at once.
 //!
 //! # Hostile peers
@@ -68,21 +71,20 @@ use shadecast_protocol::limits::{
 use shadecast_protocol::text::printable;
 
 use crate::arrivals::{Arrivals, Network, given_up_for};
-use crate::congestion::{INITIAL_WINDOW_BYTES, SteadyConfig, TargetRate};
+use crate::congestion::{INITIAL_WINDOW_BYTES, Probing, SteadyConfig, TargetRate};
 use crate::event::{Binding, CloseKind, Event, PeerId, SendError, StreamId};
 use crate::identity::tls::{self, PinVerifier};
 use crate::identity::{ClientIdentity, ExpectedIdentity, IdentityError, ServerIdentity};
 use crate::inbox::Inbox;
 use crate::peer::{Peer, PeerLimits, Violation};
 use crate::rng;
+pub use crate::silence::AWAY_AFTER;
 
-/// A peer from which nothing was heard for this long is given up.
-pub const IDLE_TIMEOUT: Duration = Duration::from_secs(3);
-/// An idle connection says something this often.
-pub const KEEP_ALIVE: Duration = Duration::from_millis(500);
+/// A peer from which nothing was heard for this long, and a moment more, is given up.
+pub const IDLE_TIMEOUT: Duration = Duration::from_secs(60);
 /// Round trip assumed before one was measured: of a home network, not of the Internet.
 const INITIAL_RTT: Duration = Duration::from_millis(100);
-/// How long a server waits for a handshake to end.
+/// How long either side waits for a handshake to end.
 pub const HANDSHAKE_DEADLINE: Duration = Duration::from_secs(3);
 /// Connections that a server keeps at all, those included that have ended and whose end the application has not taken.
 const MAX_CONNECTIONS: usize = 512;
@@ -297,7 +299,7 @@ fn key_bytes(seed: Option<u64>, purpose: u64) -> [u8; 32] {
     )
 }
 
-fn transport_config(congestion: Congestion, is_server: bool, target: Arc<TargetRate>) -> TransportConfig {
+fn transport_config(congestion: Congestion, is_server: bool, steady: SteadyConfig) -> TransportConfig {
     let mut config = TransportConfig::default();
     let (stream_window, connection_window) = if is_server {
         (SERVER_WINDOW_BYTES, SERVER_WINDOW_BYTES)
@@ -305,10 +307,9 @@ fn transport_config(congestion: Congestion, is_server: bool, target: Arc<TargetR
         (STREAM_WINDOW_BYTES, CONNECTION_WINDOW_BYTES)
     };
     // The idle time counts from the last sign of life or, if later, from our next question after it.
-    let idle_ms = VarInt::from_u32((IDLE_TIMEOUT - KEEP_ALIVE).as_millis() as u32);
+    let idle_ms = VarInt::from_u32(IDLE_TIMEOUT.as_millis() as u32);
     config
         .max_idle_timeout(Some(idle_ms.into()))
-        .keep_alive_interval(Some(KEEP_ALIVE))
         .initial_rtt(INITIAL_RTT)
         // The control stream, which the client opens, and which is all that it opens.
         .max_concurrent_bidi_streams(VarInt::from_u32(u32::from(is_server)))
@@ -321,7 +322,7 @@ fn transport_config(congestion: Congestion, is_server: bool, target: Arc<TargetR
         .datagram_receive_buffer_size(Some(DATAGRAM_BUFFER_BYTES))
         .datagram_send_buffer_size(DATAGRAM_BUFFER_BYTES);
     match congestion {
-        Congestion::Steady => config.congestion_controller_factory(Arc::new(SteadyConfig { target })),
+        Congestion::Steady => config.congestion_controller_factory(Arc::new(steady)),
         Congestion::Cubic => {
             let mut cubic = congestion::CubicConfig::default();
             cubic.initial_window(INITIAL_WINDOW_BYTES);
@@ -363,6 +364,7 @@ pub struct Endpoint {
     proto: proto::Endpoint,
     /// What connections to a server begin with.
     server: Option<proto::ServerConfig>,
+    probing: Probing,
     peers: BTreeMap<PeerId, Peer>,
     by_handle: HashMap<ConnectionHandle, PeerId>,
     inbox: Arc<Inbox>,
@@ -429,6 +431,7 @@ impl Endpoint {
             config,
             proto: proto::Endpoint::new(Arc::new(endpoint), server.clone().map(Arc::new), true, None),
             server,
+            probing: Probing::default(),
             peers: BTreeMap::new(),
             by_handle: HashMap::new(),
             inbox: Arc::new(Inbox::new(is_server, max_waiting_bytes)),
@@ -498,8 +501,8 @@ impl Endpoint {
         let own = own.as_ref().map_err(Clone::clone)?;
         let tls = tls::client_config(own, verifier.clone()).map_err(|e| e.to_string())?;
         let mut config = proto::ClientConfig::new(tls);
-        let target = Arc::new(TargetRate::default());
-        config.transport_config(Arc::new(transport_config(self.config.congestion, false, target.clone())));
+        let (transport, target) = self.path_config();
+        config.transport_config(transport);
         self.connects += 1;
         let cid = key_bytes(self.config.seed.map(|seed| seed.wrapping_add(self.connects)), 4);
         config.initial_dst_cid_provider(Arc::new(move || ConnectionId::new(&cid[..16])));
@@ -509,6 +512,13 @@ impl Endpoint {
             .map_err(|e| e.to_string())?;
         self.add_peer(now_ns, id, handle, (conn, target), Some(verifier));
         Ok(())
+    }
+
+    /// Of a new connection, and what its controllers tell.
+    fn path_config(&self) -> (Arc<TransportConfig>, Arc<TargetRate>) {
+        let steady = SteadyConfig::with_probing(&self.probing);
+        let target = steady.target.clone();
+        (Arc::new(transport_config(self.config.congestion, self.is_server, steady)), target)
     }
 
     fn add_peer(
@@ -544,6 +554,7 @@ impl Endpoint {
                 let Some(&id) = self.by_handle.get(&handle) else { return };
                 if let Some(peer) = self.peers.get_mut(&id) {
                     peer.conn.handle_event(event);
+                    self.heard(now_ns, id);
                 }
                 self.ready.insert(id);
                 self.drive(now_ns, id);
@@ -551,6 +562,28 @@ impl Endpoint {
             Some(DatagramEvent::NewConnection(incoming)) => self.accept(now_ns, incoming),
             Some(DatagramEvent::Response(transmit)) => self.respond(transmit, response),
             None => {}
+        }
+    }
+
+    /// Something came of a peer.
+    fn heard(&mut self, now_ns: i64, id: PeerId) {
+        let Some(peer) = self.peers.get_mut(&id) else { return };
+        peer.remote = peer.conn.remote_address();
+        if peer.silence.heard(now_ns) && peer.is_in_use() {
+            self.inbox.push(id, Event::Back { peer: id, remote: peer.remote });
+        }
+    }
+
+    /// Asks those who are silent whether they hear anything, and tells who is away.
+    fn pass_silence(&mut self, now_ns: i64) {
+        for peer in self.peers.values_mut().filter(|peer| peer.is_in_use()) {
+            let (is_due, away_ns) = peer.silence.pass(now_ns);
+            if is_due {
+                self.ready.insert(peer.id);
+            }
+            if let Some(since_ns) = away_ns {
+                self.inbox.push(peer.id, Event::Away { peer: peer.id, since_ns });
+            }
         }
     }
 
@@ -577,9 +610,9 @@ impl Endpoint {
             }
             Admission::Ignore => return self.proto.ignore(incoming),
         }
-        let target = Arc::new(TargetRate::default());
+        let (transport, target) = self.path_config();
         let config = self.server.clone().map(|mut server| {
-            server.transport_config(Arc::new(transport_config(self.config.congestion, true, target.clone())));
+            server.transport_config(transport);
             Arc::new(server)
         });
         match self.proto.accept(incoming, self.clock.instant(now_ns), &mut response, config) {
@@ -622,14 +655,19 @@ impl Endpoint {
     }
 
     fn give_up_handshake(&mut self, now_ns: i64, id: PeerId) {
+        if !self.is_server {
+            let Some(peer) = self.peers.get(&id) else { return };
+            let (kind, reason) = explain(peer, ConnectionError::TimedOut);
+            return self.end(now_ns, id, CloseCode::Leaving.code(), "no answer came", kind, reason);
+        }
         self.counters.handshakes_given_up += 1;
         let why = "the handshake took too long, or others wait";
         self.end(now_ns, id, CloseCode::Full.code(), why, CloseKind::Local, why.into());
     }
 
-    /// When a server gives up the handshake of `peer`, nanoseconds.
+    /// When the handshake of `peer` is given up, nanoseconds.
     fn handshake_deadline_ns(&self, peer: &Peer) -> Option<i64> {
-        (self.is_server && peer.is_half_open()).then(|| peer.since_ns + HANDSHAKE_DEADLINE.as_nanos() as i64)
+        peer.is_half_open().then(|| peer.since_ns + HANDSHAKE_DEADLINE.as_nanos() as i64)
     }
 
     fn respond(&mut self, transmit: proto::Transmit, mut bytes: Vec<u8>) {
@@ -651,6 +689,7 @@ impl Endpoint {
         for id in late.map(|peer| peer.id).collect::<Vec<_>>() {
             self.give_up_handshake(now_ns, id);
         }
+        self.pass_silence(now_ns);
         let due: Vec<PeerId> = self
             .peers
             .iter_mut()
@@ -668,8 +707,10 @@ impl Endpoint {
     /// When [`Self::handle_timeout`] wants to be called, nanoseconds.
     pub fn poll_timeout(&mut self) -> Option<i64> {
         let deadline_ns = self.peers.values().filter_map(|peer| self.handshake_deadline_ns(peer)).min();
+        let in_use = self.peers.values().filter(|peer| peer.is_in_use());
+        let silence_ns = in_use.map(|peer| peer.silence.next_ns()).min();
         let next = self.peers.values_mut().filter_map(|peer| peer.conn.poll_timeout()).min();
-        next.map(|at| self.clock.ns(at)).into_iter().chain(deadline_ns).min()
+        next.map(|at| self.clock.ns(at)).into_iter().chain(deadline_ns).chain(silence_ns).min()
     }
 
     /// The next thing to be sent.
@@ -687,7 +728,14 @@ impl Endpoint {
             };
             bytes.clear();
             bytes.reserve(TRANSMIT_BYTES_PER_SEGMENT * self.max_segments);
-            let transmit = peer.conn.poll_transmit(now, self.max_segments, &mut bytes);
+            let is_question = peer.silence.take_question();
+            if is_question {
+                peer.conn.ping();
+            }
+            self.probing.set(is_question);
+            let max_segments = if is_question { 1 } else { self.max_segments };
+            let transmit = peer.conn.poll_transmit(now, max_segments, &mut bytes);
+            self.probing.set(false);
             if transmit.is_none() {
                 self.ready.remove(&id);
             }

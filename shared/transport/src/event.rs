@@ -30,7 +30,7 @@ pub enum CloseKind {
     Local,
     /// The peer's application closed it, with this code.
     Peer(u64),
-    /// Nothing was heard from the peer for [`IDLE_TIMEOUT`](crate::endpoint::IDLE_TIMEOUT).
+    /// Nothing was heard from the peer for [`IDLE_TIMEOUT`](crate::endpoint::IDLE_TIMEOUT), or nobody answered.
     TimedOut,
     /// The peer does not know the connection: it was restarted.
     Restarted,
@@ -88,6 +88,21 @@ pub enum Event {
         bytes: Vec<u8>,
         /// When it was received, nanoseconds on the endpoint's clock.
         at_ns: i64,
+    },
+    /// Nothing was heard from a connected peer for [`AWAY_AFTER`](crate::endpoint::AWAY_AFTER). The connection stands: what
+    /// is sent waits, and arrives when the peer is back.
+    Away {
+        /// The peer.
+        peer: PeerId,
+        /// When it was heard last, nanoseconds on the endpoint's clock.
+        since_ns: i64,
+    },
+    /// A peer that was away is heard again.
+    Back {
+        /// The peer.
+        peer: PeerId,
+        /// Its address, which may be another one than before.
+        remote: SocketAddr,
     },
     /// A connection ended, or could not be made. Nothing more is told about the peer.
     Closed {

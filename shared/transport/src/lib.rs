@@ -20,6 +20,7 @@ mod outbox;
 pub mod pair;
 mod peer;
 mod rng;
+mod silence;
 mod target;
 mod train;
 

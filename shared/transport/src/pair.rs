@@ -13,8 +13,16 @@ use crate::link::{Direction, Link, LinkSchedule};
 
 /// The server's address in every pair.
 pub const SERVER_ADDR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(10, 0, 0, 1)), 47_800);
-/// The client's address in every pair.
+/// The client's address in every pair, until it moves.
 pub const CLIENT_ADDR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(10, 0, 0, 2)), 50_000);
+
+/// What a datagram has beside its bytes.
+#[derive(Clone, Copy, Debug)]
+pub struct Envelope {
+    ecn: Option<u8>,
+    /// The client's address when it was sent.
+    client_addr: SocketAddr,
+}
 
 /// A server, a client and the network between them.
 pub struct Pair {
@@ -22,7 +30,8 @@ pub struct Pair {
     pub server: Endpoint,
     /// The client's end.
     pub client: Endpoint,
-    link: Link<Option<u8>>,
+    link: Link<Envelope>,
+    client_addr: SocketAddr,
     now_ns: i64,
     trace: Option<Vec<(i64, Direction, usize)>>,
 }
@@ -32,7 +41,7 @@ impl Pair {
     pub fn new(server: Endpoint, client: Endpoint, link: impl Into<LinkSchedule>, seed: u64) -> Self {
         let mut link = Link::new(link, seed);
         link.start_at(0);
-        Self { server, client, link, now_ns: 0, trace: None }
+        Self { server, client, link, client_addr: CLIENT_ADDR, now_ns: 0, trace: None }
     }
 
     /// The virtual time, nanoseconds.
@@ -41,7 +50,7 @@ impl Pair {
     }
 
     /// The link, for its counters.
-    pub fn link(&self) -> &Link<Option<u8>> {
+    pub fn link(&self) -> &Link<Envelope> {
         &self.link
     }
 
@@ -51,6 +60,13 @@ impl Pair {
             Direction::ToServer => self.server = endpoint,
             Direction::ToClient => self.client = endpoint,
         }
+    }
+
+    /// The client has another address from now on, as in another network, or behind a router that has forgotten it. What is under
+    /// way to the old one is lost; what left it arrives.
+    pub fn move_client(&mut self, to: SocketAddr) {
+        self.flush();
+        self.client_addr = to;
     }
 
     /// Replaces the link from now on; what is under way on the old one is lost.
@@ -116,11 +132,13 @@ impl Pair {
     fn step(&mut self) {
         let now_ns = self.now_ns;
         while let Some(delivery) = self.link.poll(now_ns) {
+            let Envelope { ecn, client_addr } = delivery.tag;
             let (end, from) = match delivery.direction {
-                Direction::ToServer => (&mut self.server, CLIENT_ADDR),
+                Direction::ToServer => (&mut self.server, client_addr),
+                Direction::ToClient if client_addr != self.client_addr => continue,
                 Direction::ToClient => (&mut self.client, SERVER_ADDR),
             };
-            end.handle_udp(now_ns, from, None, delivery.tag, BytesMut::from(&delivery.bytes[..]));
+            end.handle_udp(now_ns, from, None, ecn, BytesMut::from(&delivery.bytes[..]));
         }
         self.server.handle_timeout(now_ns);
         self.client.handle_timeout(now_ns);
@@ -135,15 +153,18 @@ impl Pair {
                     Direction::ToServer => &mut self.client,
                 };
                 let Some(transmit) = end.poll_transmit(self.now_ns) else { break };
-                // Nobody lives at any other address.
-                if transmit.to != [CLIENT_ADDR, SERVER_ADDR][usize::from(direction == Direction::ToServer)] {
-                    continue;
-                }
+                let client_addr = match direction {
+                    Direction::ToClient => transmit.to,
+                    // Nobody lives at any other address.
+                    Direction::ToServer if transmit.to != SERVER_ADDR => continue,
+                    Direction::ToServer => self.client_addr,
+                };
                 for datagram in transmit.datagrams() {
                     if let Some(trace) = &mut self.trace {
                         trace.push((self.now_ns, direction, datagram.len()));
                     }
-                    self.link.send(self.now_ns, direction, datagram.to_vec(), transmit.ecn);
+                    let envelope = Envelope { ecn: transmit.ecn, client_addr };
+                    self.link.send(self.now_ns, direction, datagram.to_vec(), envelope);
                 }
             }
         }

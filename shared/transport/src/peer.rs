@@ -17,6 +17,7 @@ use crate::allowance::Allowance;
 use crate::congestion::TargetRate;
 use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::tls::PinVerifier;
+use crate::silence::Silence;
 
 /// Bytes of messages and streams that wait for the network to take them, per peer.
 const MAX_QUEUED_BYTES: usize = 96 << 20;
@@ -78,6 +79,8 @@ pub(crate) struct Peer {
     pub(crate) since_ns: i64,
     /// A `Closed` event was emitted: nothing more is told about this peer.
     pub(crate) closed: bool,
+    /// Whether the path to it carries anything.
+    pub(crate) silence: Silence,
     limits: PeerLimits,
     control: Option<proto::StreamId>,
     control_allowance: Allowance,
@@ -117,6 +120,7 @@ impl Peer {
             connected: false,
             since_ns: now_ns,
             closed: false,
+            silence: Silence::new(now_ns),
             limits,
             control: None,
             control_allowance: allowance(limits.control_per_s),

@@ -183,8 +183,7 @@ fn a_killed_client_is_noticed_and_the_next_one_is_served() {
     server.wait_connected();
     // A driver that is dropped says nothing, like a killed program.
     drop(victim);
-    let (kind, reason) = server.wait_closed();
-    assert_eq!(kind, CloseKind::TimedOut, "{reason}");
+    assert!(matches!(server.next(), Event::Away { .. }));
     connect(server, Program::start(client_driver()));
 }
 

@@ -71,6 +71,11 @@ impl Mailbox {
         self.put(|news| drop(news.entry(peer).or_default().reported.take(event)));
     }
 
+    /// The way to a client that is served carries nothing, or does again.
+    pub(crate) fn away(&self, peer: PeerId, is_away: bool) {
+        self.put(|news| news.entry(peer).or_default().reported.away = Some(is_away));
+    }
+
     /// All that is new, without waiting.
     pub fn take(&self) -> BTreeMap<PeerId, News> {
         std::mem::take(&mut *lock(&self.news))

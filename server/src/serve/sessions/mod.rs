@@ -159,6 +159,8 @@ impl Sessions {
                 self.handle(peer, [at_ns, now_ns], around, |session| session.on_datagram(&bytes, received));
             }
             Event::Closed { peer, kind, reason } => self.closed(peer, kind, &reason, around),
+            Event::Away { peer, .. } => self.away(peer, around),
+            Event::Back { peer, remote } => self.back(peer, remote, around),
             // Clients have nothing to send on streams.
             Event::Stream { .. } | Event::StreamReset { .. } => {}
         }
@@ -451,6 +453,31 @@ impl Sessions {
             self.lose(peer, reason, around);
         }
         self.forget(peer);
+    }
+
+    /// Nothing is heard of a client any more. One that was served and has shown something is waited for.
+    fn away(&mut self, peer: PeerId, around: &Surroundings<'_>) {
+        const WHY: &str = "nothing was heard from it for 3 s";
+        let Some(guest) = self.guests.get(&peer) else { return };
+        if self.places.away(peer, true) {
+            around.mailbox.away(peer, true);
+            return (around.say)(&format!(
+                "Client away: {} ({WHY}); it may come back within 60 s",
+                guest.remote
+            ));
+        }
+        self.lose(peer, WHY, around);
+        self.drop_guest(peer, CloseCode::NotUnderstood, WHY, around);
+    }
+
+    /// A client is heard again, perhaps from another address.
+    fn back(&mut self, peer: PeerId, remote: SocketAddr, around: &Surroundings<'_>) {
+        let Some(guest) = self.guests.get_mut(&peer) else { return };
+        guest.remote = remote;
+        if self.places.away(peer, false) {
+            around.mailbox.away(peer, false);
+            (around.say)(&format!("Client back: {remote}"));
+        }
     }
 
     /// A client has left of its own will.

@@ -97,6 +97,8 @@ struct Holder {
     heard_ns: i64,
     /// It has shown something: what never did is not waited for.
     has_shown: bool,
+    /// It is connected, and nothing is heard of it.
+    is_away: bool,
 }
 
 /// A place is taken.
@@ -125,7 +127,7 @@ impl Places {
     ) -> Result<Taken, Refused> {
         let own = self.holders.iter().position(|holder| resume == Some(holder.secret));
         let silent = || self.holders.iter().position(|holder| now_ns >= holder.kept_until_ns());
-        let next = Holder { peer: Some(peer), secret, heard_ns: now_ns, has_shown: false };
+        let next = Holder { peer: Some(peer), secret, heard_ns: now_ns, has_shown: false, is_away: false };
         match own.or_else(|| if self.holders.len() < self.most { None } else { silent() }) {
             Some(place) => {
                 let displaced = std::mem::replace(&mut self.holders[place], next).peer;
@@ -140,7 +142,7 @@ impl Places {
     }
 
     fn refusal(&self, now_ns: i64) -> Refused {
-        let kept = self.holders.iter().filter(|holder| holder.peer.is_none());
+        let kept = self.holders.iter().filter(|holder| holder.peer.is_none() || holder.is_away);
         match kept.map(Holder::kept_until_ns).min() {
             Some(until_ns) => {
                 let wait_s = (until_ns - now_ns).max(0) / 1_000_000_000 + 1;
@@ -169,6 +171,13 @@ impl Places {
         if let Some(holder) = self.of(peer) {
             holder.has_shown = true;
         }
+    }
+
+    /// The way to `peer` carries nothing, or does again. True where its place is kept for it: it has one, and has made use of it.
+    pub(super) fn away(&mut self, peer: PeerId, is_away: bool) -> bool {
+        let Some(holder) = self.of(peer).filter(|holder| holder.has_shown) else { return false };
+        holder.is_away = is_away;
+        true
     }
 
     /// The connection of `peer` has gone. Its place is kept for a while, if it ever made use of it.

@@ -203,6 +203,40 @@ fn a_client_that_was_served_comes_back_before_a_stranger_does() {
 }
 
 #[test]
+fn a_client_that_is_away_is_waited_for_until_another_one_wants_its_place() {
+    let desk = Desk::new();
+    let mut network = desk.network();
+    let first = greet(&mut network, 1, None, 0);
+    show_first(&mut network, &desk, first, SECOND);
+    let (away, moved) =
+        (Event::Away { peer: first, since_ns: SECOND }, "[::1]:8".parse().expect("an address"));
+    let is_away = |desk: &Desk| desk.news(first).and_then(|news| news.reported.away);
+    network.take(away.clone(), 4 * SECOND);
+    assert_eq!(is_away(&desk), Some(true));
+    let stranger = greet(&mut network, 2, None, 5 * SECOND);
+    assert!(desk.carrier.refusal(stranger).is_some_and(|reason| reason.contains("kept")), "not yet");
+    network.take(Event::Back { peer: first, remote: moved }, 50 * SECOND);
+    assert_eq!((is_away(&desk), network.sessions.guests[&first].remote), (Some(false), moved));
+    assert!(desk.carrier.closed.borrow().is_empty());
+    network.take(away, 60 * SECOND);
+    let next = greet(&mut network, 3, None, 61 * SECOND);
+    assert!(desk.carrier.secret(next).is_some());
+    assert_eq!(*desk.carrier.closed.borrow(), [(first, CloseCode::Displaced)]);
+}
+
+#[test]
+fn one_that_has_shown_nothing_is_not_waited_for() {
+    let desk = Desk::new();
+    let mut network = desk.network_for(2);
+    let (unproven, hasty) = (greet(&mut network, 1, None, 0), connect(&mut network, 2, 0));
+    for peer in [unproven, hasty] {
+        network.take(Event::Away { peer, since_ns: 0 }, 3 * SECOND);
+    }
+    let closed: Vec<PeerId> = desk.carrier.closed.borrow().iter().map(|(peer, _)| *peer).collect();
+    assert_eq!((closed, network.sessions.places.served().next()), (vec![unproven, hasty], None));
+}
+
+#[test]
 fn a_client_that_comes_back_ends_its_own_old_connection() {
     let desk = Desk::new();
     let mut network = desk.network();

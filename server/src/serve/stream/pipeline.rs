@@ -300,11 +300,11 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         }
         let now = ServerTime(now_ns - self.epoch_ns);
         reported.steering.into_iter().for_each(|wanted| self.studio.steer(wanted, now));
-        reported.watching.into_iter().for_each(|is_watched| self.scheduler.watch(peer, is_watched, now_ns));
         let applied = guarded(|| {
             client.viewer.apply(reported);
             Ok(())
         });
+        self.scheduler.watch(peer, client.viewer.wants_updates(), now_ns);
         self.settle(peer, applied, now_ns)
     }
 

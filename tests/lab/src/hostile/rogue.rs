@@ -192,8 +192,10 @@ impl Run {
             Event::Datagram { peer, bytes, at_ns } => {
                 self.with(peer, |session| session.on_datagram(&bytes, ServerTime(at_ns)));
             }
-            Event::Closed { peer, .. } => drop(self.client.take_if(|client| client.peer == peer)),
-            Event::Stream { .. } | Event::StreamReset { .. } => {}
+            Event::Away { peer, .. } | Event::Closed { peer, .. } => {
+                drop(self.client.take_if(|client| client.peer == peer))
+            }
+            Event::Stream { .. } | Event::StreamReset { .. } | Event::Back { .. } => {}
         }
     }
 

@@ -30,6 +30,8 @@ pub enum What {
     Reset(Vec<u8>),
     /// A datagram.
     Datagram(Vec<u8>),
+    /// The network carries nothing, or something again.
+    Outage,
     /// A display frame begins.
     Frame,
 }
@@ -46,6 +48,7 @@ impl Heard {
             Event::Datagram { bytes, at_ns, .. } => (at_ns, What::Datagram(bytes)),
             Event::Stream { bytes, at_ns, .. } => (at_ns, What::Stream(bytes)),
             Event::StreamReset { head, .. } => (now_ns, What::Reset(head)),
+            Event::Away { .. } | Event::Back { .. } => (now_ns, What::Outage),
             Event::Closed { reason, .. } => bail!("the connection ended: {reason}"),
         };
         Ok(Self { at_ns, what })
@@ -54,12 +57,16 @@ impl Heard {
     /// Hands it to a client.
     pub fn tell(&self, intake: &mut Intake) {
         let at = ClientTime(self.at_ns);
+        if !matches!(self.what, What::Outage | What::Frame) {
+            intake.note_alive(at);
+        }
         match &self.what {
             What::Connected => intake.on_connected(at),
             What::Control(message) => intake.receive_control(at, message),
             What::Stream(bytes) => intake.receive_stream(at, bytes),
             What::Reset(head) => intake.receive_reset(at, head),
             What::Datagram(bytes) => intake.receive_datagram(at, bytes),
+            What::Outage => {}
             What::Frame => intake.advance(at),
         }
     }

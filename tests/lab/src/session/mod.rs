@@ -59,6 +59,7 @@ use shadecast_transport::link::LinkCounts;
 use shadecast_transport::{Direction, ExpectedIdentity, LinkSchedule, Pair, ServerIdentity};
 use std::borrow::Cow;
 use std::convert::Infallible;
+use std::net::SocketAddr;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -425,6 +426,25 @@ impl Lab {
     /// What became of the datagrams to the first viewer.
     pub fn link_counts(&self) -> LinkCounts {
         self.lines[0].pair.link().counts(Direction::ToClient)
+    }
+
+    /// The client that ships has another address from now on.
+    pub fn move_client(&mut self, to: SocketAddr) {
+        self.lines[0].pair.move_client(to);
+    }
+
+    /// The server is killed, and runs again at once with the same identity. It is that of a lone client.
+    ///
+    /// # Errors
+    /// No identity.
+    pub fn restart_server(&mut self, seed: u64) -> anyhow::Result<()> {
+        let line = &mut self.lines[0];
+        let config = EndpointConfig { seed: Some(seed ^ 3), ..EndpointConfig::default() };
+        let endpoint = Endpoint::server(&ServerIdentity::from_seed(seed)?, config)?;
+        line.pair.restart(Direction::ToServer, endpoint);
+        line.seat.vanish(&mut self.server);
+        self.server.reception = Reception::new(self.server.offer(), 1);
+        Ok(())
     }
 
     /// When the updates of the first viewer began, in their order, nanoseconds of the virtual clock.

@@ -102,6 +102,8 @@ fn on_line(line: usize, mut event: Event) -> Event {
     | Event::Stream { peer, .. }
     | Event::StreamReset { peer, .. }
     | Event::Datagram { peer, .. }
+    | Event::Away { peer, .. }
+    | Event::Back { peer, .. }
     | Event::Closed { peer, .. }) = &mut event;
     *peer = peer_of(line, *peer);
     event

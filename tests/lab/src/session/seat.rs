@@ -187,16 +187,22 @@ impl Seat {
                 if let Some(wanted) = reported.steering {
                     server.world.timeline().lock().steer(wanted, server_time(now_ns));
                 }
-                if let Some(is_watched) = reported.watching {
-                    server.scheduler.watch(peer, is_watched, now_ns);
-                }
                 viewer.apply(reported);
+                server.scheduler.watch(peer, viewer.wants_updates(), now_ns);
             }
         }
         match server.reception.ended(self.line) {
             Some(reason) => bail!("the server has ended the session: {reason}"),
             None => Ok(()),
         }
+    }
+
+    /// The server forgets everything.
+    pub(super) fn vanish(&mut self, server: &mut Server) {
+        self.part(server);
+        self.peer = None;
+        self.streams.clear();
+        self.leaving.clear();
     }
 
     /// Nobody is served any more.
