@@ -10,6 +10,10 @@ const FIRST_BACK_OFF_NS: i64 = 250_000_000;
 /// Longest time from one round to the next.
 const LONGEST_BACK_OFF_NS: i64 = 4_000_000_000;
 
+/// Attempts at a server that has served us which may wait for their answers at once, for one more to be made. It is asked anew each
+/// [`PATIENCE_NS`], so that it has its client back as soon as it runs again: QUIC repeats its first words ever more seldom.
+const MAX_UNDER_WAY: usize = 8;
+
 /// Tries a server's addresses in order, each a little after the one before, and then around again.
 #[derive(Clone, Debug)]
 pub(super) struct Dialler {
@@ -21,6 +25,8 @@ pub(super) struct Dialler {
     /// When the next round may begin.
     next_round: ClientTime,
     back_off_ns: i64,
+    /// It has served us, and has not sent us away since.
+    is_known: bool,
 }
 
 impl Dialler {
@@ -33,12 +39,14 @@ impl Dialler {
             not_before: long_ago,
             next_round: long_ago,
             back_off_ns: FIRST_BACK_OFF_NS,
+            is_known: false,
         }
     }
 
     /// The address to try now, if it is time for one while `under_way` others have not answered yet.
     pub(super) fn dial(&mut self, now: ClientTime, under_way: usize) -> Option<SocketAddr> {
-        if self.next >= self.addresses.len() && under_way == 0 {
+        let is_asked_anew = self.is_known && now >= self.not_before && under_way < MAX_UNDER_WAY;
+        if self.next >= self.addresses.len() && (under_way == 0 || is_asked_anew) {
             self.next = 0;
             self.not_before = self.next_round;
         }
@@ -48,7 +56,8 @@ impl Dialler {
         let address = *self.addresses.get(self.next)?;
         if self.next == 0 {
             self.next_round = now.plus_ns(self.back_off_ns);
-            self.back_off_ns = (self.back_off_ns * 2).min(LONGEST_BACK_OFF_NS);
+            let longest_ns = if self.is_known { PATIENCE_NS } else { LONGEST_BACK_OFF_NS };
+            self.back_off_ns = (self.back_off_ns * 2).min(longest_ns);
         }
         self.next += 1;
         self.not_before = now.plus_ns(PATIENCE_NS);
@@ -69,6 +78,7 @@ impl Dialler {
 
     /// The session stands: should it break, the next round need not wait.
     pub(super) fn succeeded(&mut self) {
+        self.is_known = true;
         self.back_off_ns = FIRST_BACK_OFF_NS;
     }
 
@@ -79,6 +89,7 @@ impl Dialler {
 
     /// The server was reached and wants nothing to do with us: a new round, but not at once.
     pub(super) fn refused(&mut self, now: ClientTime) {
+        self.is_known = false;
         self.next_round = now.plus_ns(self.back_off_ns);
         self.lost();
     }
@@ -152,6 +163,26 @@ mod tests {
         assert_eq!(dialler.dial(at(9 * S), 0), Some(address(2)));
         assert_eq!(dialler.dial(at(10 * S), 1), Some(address(1)), "the others keep their order");
         assert_eq!(dialler.dial(at(11 * S), 2), Some(address(3)));
+    }
+
+    #[test]
+    fn a_server_that_has_served_us_is_asked_twice_a_second_until_it_runs_again() {
+        let mut dialler = dialler(1);
+        dialler.dial(at(0), 0);
+        dialler.answered(address(1));
+        dialler.succeeded();
+        dialler.lost();
+        // An attempt is given up after three seconds.
+        let (mut dialled, start) = (Vec::new(), 60 * S);
+        for tenth in 0..200 {
+            let now = start + tenth * S / 10;
+            let under_way = dialled.iter().filter(|&&at_ns| now - at_ns < 3 * S).count();
+            if dialler.dial(at(now), under_way).is_some() {
+                dialled.push(now);
+            }
+        }
+        assert_eq!(dialled.first(), Some(&start), "at once");
+        assert!(dialled.windows(2).all(|pair| pair[1] - pair[0] == S / 2), "{dialled:?}");
     }
 
     #[test]
