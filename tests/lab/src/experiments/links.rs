@@ -14,6 +14,7 @@ use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::fmt;
+use std::net::SocketAddr;
 use std::time::Duration;
 
 /// After a change of the link, figures count from then on, seconds.
@@ -26,8 +27,15 @@ const STEPS_MBIT: [u64; 4] = [100, 8, 50, 100];
 const LATENCIES_MS: [u64; 5] = [5, 20, 50, 110, 200];
 const LOSSES: [f64; 3] = [0.0, 0.01, 0.05];
 /// Outages, seconds; they begin after [`OUTAGE_AT_S`].
-const OUTAGES_S: [f64; 2] = [1.0, 2.5];
+const OUTAGES_S: [f64; 5] = [1.0, 2.5, 5.0, 13.0, 30.0];
 const OUTAGE_AT_S: f64 = 4.0;
+/// After an outage a run goes on for so long, seconds.
+const AFTER_OUTAGE_S: f64 = 4.0;
+/// How long a server that was killed does not run, seconds.
+const DOWN_S: f64 = 2.0;
+/// Another port of the same router, and another network.
+const ADDRESSES: [(&str, &str); 2] =
+    [("another port", "10.0.0.2:50001"), ("another network", "192.168.7.9:40000")];
 
 /// All links.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -84,6 +92,40 @@ struct Case {
     name: String,
     schedule: LinkSchedule,
     changes_s: Vec<(f64, String)>,
+    /// What happens after [`OUTAGE_AT_S`].
+    happens: Option<Happens>,
+    seconds: f64,
+}
+
+/// What happens to an end of a link.
+#[derive(Clone, Copy, Debug)]
+enum Happens {
+    /// The client has another address.
+    Move(SocketAddr),
+    /// The server is killed and runs again.
+    Restart,
+}
+
+impl Case {
+    fn new(name: &str, schedule: LinkSchedule, changes_s: Vec<(f64, String)>, seconds: f64) -> Self {
+        Self { name: name.to_owned(), schedule, changes_s, happens: None, seconds }
+    }
+
+    /// A usual link that carries nothing for `outage_s`, if that is more than 0.
+    fn with_outage(name: &str, outage_s: f64) -> Result<Self> {
+        let usual =
+            LinkProfile { queue_ns: ROUTER_QUEUE.as_nanos() as i64, ..profile("latency=20ms,rate=100mbit")? };
+        let schedule = match outage_s {
+            0.0 => usual.into(),
+            _ => LinkSchedule::interrupted(usual, link_ns(OUTAGE_AT_S), (outage_s * 1e9) as i64),
+        };
+        let back_s = OUTAGE_AT_S + outage_s;
+        let mut changes_s = vec![(0.0, format!("before: {name}")), (OUTAGE_AT_S, name.to_owned())];
+        if outage_s > 0.0 {
+            changes_s.push((back_s, format!("after: {name}")));
+        }
+        Ok(Self::new(name, schedule, changes_s, back_s + AFTER_OUTAGE_S))
+    }
 }
 
 fn profile(text: &str) -> Result<LinkProfile> {
@@ -100,10 +142,8 @@ fn cases(seconds: f64) -> Result<Vec<Case>> {
     let queued = |text: &str| -> Result<LinkProfile> {
         Ok(LinkProfile { queue_ns: ROUTER_QUEUE.as_nanos() as i64, ..profile(text)? })
     };
-    let whole = |name: &str, profile: LinkProfile| Case {
-        name: name.to_owned(),
-        schedule: profile.into(),
-        changes_s: vec![(0.0, name.to_owned())],
+    let whole = |name: &str, profile: LinkProfile| {
+        Case::new(name, profile.into(), vec![(0.0, name.to_owned())], seconds)
     };
     let mut steps = Vec::new();
     let mut changes_s = Vec::new();
@@ -112,7 +152,7 @@ fn cases(seconds: f64) -> Result<Vec<Case>> {
         steps.push((link_ns(at_s), queued(&format!("latency=10ms,rate={rate}mbit"))?));
         changes_s.push((at_s, format!("{rate} Mbit/s")));
     }
-    let mut cases = vec![Case { name: "steps".into(), schedule: LinkSchedule::of_steps(steps), changes_s }];
+    let mut cases = vec![Case::new("steps", LinkSchedule::of_steps(steps), changes_s, seconds)];
     cases.push(whole("LAN", queued("latency=3ms,rate=100mbit")?));
     cases.push(whole("LAN, jitter 40 ms", queued("latency=23ms,jitter=20ms,rate=100mbit")?));
     cases.push(whole("LAN, reordering 2 %", queued("latency=3ms,jitter=1ms,reorder=2%,rate=100mbit")?));
@@ -124,12 +164,14 @@ fn cases(seconds: f64) -> Result<Vec<Case>> {
         }
     }
     for outage_s in OUTAGES_S {
-        let name = format!("nothing for {outage_s} s");
-        let usual = queued("latency=20ms,rate=100mbit")?;
-        let schedule = LinkSchedule::interrupted(usual, link_ns(OUTAGE_AT_S), (outage_s * 1e9) as i64);
-        let changes_s = vec![(0.0, format!("before: {name}")), (OUTAGE_AT_S, name.clone())];
-        cases.push(Case { name, schedule, changes_s });
+        cases.push(Case::with_outage(&format!("nothing for {outage_s} s"), outage_s)?);
     }
+    for (name, address) in ADDRESSES {
+        let happens = Some(Happens::Move(address.parse()?));
+        cases.push(Case { happens, ..Case::with_outage(name, 0.0)? });
+    }
+    let name = format!("restart, {DOWN_S} s");
+    cases.push(Case { happens: Some(Happens::Restart), ..Case::with_outage(&name, DOWN_S)? });
     Ok(cases)
 }
 
@@ -140,10 +182,11 @@ fn cases(seconds: f64) -> Result<Vec<Case>> {
 pub fn measure(options: &RunOptions, scene: &str, only: &str) -> Result<Links> {
     let mut links = Links { scene: scene.to_owned(), extent_pixels: options.extent_pixels, rows: Vec::new() };
     for case in cases(options.seconds)?.into_iter().filter(|case| case.name.starts_with(only)) {
-        let options = RunOptions { link: case.schedule.clone(), ..options.clone() };
-        let looks = looks(&options)?;
+        let (link, seconds) = (case.schedule.clone(), case.seconds);
+        let options = RunOptions { link, seconds, reconnects: true, ..options.clone() };
+        let looks = looks(&options, case.happens)?;
         for (number, (from_s, name)) in case.changes_s.iter().enumerate() {
-            let to_s = case.changes_s.get(number + 1).map_or(options.seconds, |(at_s, _)| *at_s);
+            let to_s = case.changes_s.get(number + 1).map_or(seconds, |(at_s, _)| *at_s);
             let row = row(name, [*from_s, to_s], &looks);
             println!("{row}");
             links.rows.push(row);
@@ -152,13 +195,20 @@ pub fn measure(options: &RunOptions, scene: &str, only: &str) -> Result<Links> {
     Ok(links)
 }
 
-/// Runs `options`, and looks at each display frame.
-fn looks(options: &RunOptions) -> Result<Vec<Look>> {
+/// Runs `options`, and looks at each display frame. The updates of a server that was restarted have no ages.
+fn looks(options: &RunOptions, mut happens: Option<Happens>) -> Result<Vec<Look>> {
+    let is_restarted = matches!(happens, Some(Happens::Restart));
     let config = MockConfig { capture_dir: None, ..mock_config(options, ClockKind::Virtual, 0)? };
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(options, &config) }?;
     let mut shown: Vec<(Look, i64, Option<UpdateId>)> = Vec::new();
     while let Step::Frame(frame) = lab.step()? {
+        let is_due = (frame.display_time.0 - START_NS) as f64 * 1e-9 >= OUTAGE_AT_S;
+        match happens.take_if(|_| is_due) {
+            None => {}
+            Some(Happens::Move(to)) => lab.move_client(to),
+            Some(Happens::Restart) => lab.restart_server(options.seed)?,
+        }
         let counts = lab.link_counts();
         let look = Look {
             at_s: (frame.display_time.0 - START_NS) as f64 * 1e-9,
@@ -168,7 +218,7 @@ fn looks(options: &RunOptions) -> Result<Vec<Look>> {
             delivered_bytes: counts.delivered_bytes,
             dropped: counts.dropped,
         };
-        shown.push((look, frame.display_time.0, frame.update));
+        shown.push((look, frame.display_time.0, frame.update.filter(|_| !is_restarted)));
     }
     let begun_ns = lab.updates_begun_ns();
     let aged = |(look, display_ns, update): (Look, i64, Option<UpdateId>)| {
