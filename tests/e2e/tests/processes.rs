@@ -160,7 +160,7 @@ fn killing_one_client_does_not_disturb_the_other() {
     first.signal("-KILL");
     drop(first);
     stage.shows_the_scene("b");
-    server.says("Client gone");
+    server.says("Client away");
     stage.shows_the_scene("b");
     second.signal("-INT");
     second.ends_well();
