@@ -100,13 +100,25 @@ pub struct SocketTrial {
 /// # Errors
 /// There can be none.
 pub fn try_socket(address: SocketAddr) -> Result<SocketTrial, DriverError> {
-    let socket = UdpSocket::bind(address).map_err(|e| bind_error(address, e))?;
+    let socket = open(address).map_err(|e| bind_error(address, e))?;
     let state = open_wide(&socket)?;
     let socket = || UdpSockRef::from(&socket);
     Ok(SocketTrial {
         buffer_bytes: [state.recv_buffer_size(socket())?, state.send_buffer_size(socket())?],
         wanted_bytes: SOCKET_BUFFER_BYTES,
     })
+}
+
+/// A socket at an address. At that of every IPv6 network it takes IPv4 too, whatever the system's usual way is.
+fn open(address: SocketAddr) -> io::Result<UdpSocket> {
+    if address.is_ipv4() || !address.ip().is_unspecified() {
+        return UdpSocket::bind(address);
+    }
+    let socket = socket2::Socket::new(socket2::Domain::IPV6, socket2::Type::DGRAM, None)?;
+    socket.set_only_v6(false)?;
+    socket.set_nonblocking(true)?;
+    socket.bind(&address.into())?;
+    Ok(UdpSocket::from_std(socket.into()))
 }
 
 fn open_wide(socket: &UdpSocket) -> io::Result<UdpSocketState> {
@@ -152,7 +164,7 @@ pub struct Driver {
 impl Driver {
     /// Opens a socket at `address` for `endpoint`.
     pub fn bind(endpoint: Endpoint, address: SocketAddr) -> Result<Self, DriverError> {
-        let mut socket = UdpSocket::bind(address).map_err(|e| bind_error(address, e))?;
+        let mut socket = open(address).map_err(|e| bind_error(address, e))?;
         let address = socket.local_addr()?;
         let state = open_wide(&socket)?;
         let poll = Poll::new()?;
@@ -313,7 +325,7 @@ impl Driver {
         (self.opened_ns, self.failures) = (now_ns, 0);
         // The old one goes first: it has the port.
         self.socket = UdpSocket::bind(any_address_for(self.address))?;
-        let reopened = UdpSocket::bind(self.address);
+        let reopened = open(self.address);
         self.is_elsewhere = reopened.is_err();
         match reopened {
             Ok(socket) => self.socket = socket,
@@ -750,6 +762,17 @@ mod tests {
         assert!(wakes_for_room(&mut driver));
         driver.pending = None;
         assert!(!wakes_for_room(&mut driver));
+    }
+
+    #[test]
+    fn a_socket_for_every_ipv6_address_hears_ipv4_too() {
+        let any = "[::]:0".parse().expect("an address");
+        let mut driver = Driver::bind(Endpoint::client(EndpointConfig::default()), any).expect("bound");
+        let port = driver.local_addr().expect("bound").port();
+        let sender = std::net::UdpSocket::bind("127.0.0.1:0").expect("bound");
+        sender.send_to(b"not QUIC", ("127.0.0.1", port)).expect("sent");
+        driver.poll(Duration::from_secs(2)).expect("polled");
+        assert!(driver.more_to_read);
     }
 
     #[test]

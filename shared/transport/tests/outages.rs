@@ -10,7 +10,6 @@ use shadecast_protocol::session::{
     ClientEvent, ClientSession, DeltaSender, Out, ServerEvent, ServerSession, motion_stream,
 };
 use shadecast_protocol::time::{ClientTime, ServerTime};
-use shadecast_protocol::world_clock::WorldClock;
 use shadecast_test_support::peers::{head, hello, offer};
 use shadecast_transport::pair::SERVER_ADDR;
 use shadecast_transport::{
@@ -73,7 +72,7 @@ impl Server {
         }
         delta.evicted_vertices.sort_unstable();
         delta.new_vertices.sort_unstable_by_key(|vertex| vertex.slot);
-        let news = MotionNews::Clock(Box::new(WorldClock::default()));
+        let news = MotionNews::Clock(Box::default());
         let message = MotionMessage { sequence: self.motion_sent, news };
         self.motion_sent += 1;
         vec![sender.stream(&self.encoder.encode_update(&delta)), motion_stream(&message, None)]

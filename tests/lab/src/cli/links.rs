@@ -9,7 +9,7 @@ use shadecast_lab::experiments::links;
 pub(super) struct LinksArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// Measures only links whose name begins so: steps, LAN, "20 ms", nothing
+    /// Measures only links whose name begins so: steps, LAN, "20 ms", nothing, another, restart
     #[arg(long, default_value = "")]
     only: String,
 }
