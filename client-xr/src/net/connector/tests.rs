@@ -202,6 +202,21 @@ fn failures_do_not_overwrite_the_server_list() {
 }
 
 #[test]
+fn an_outage_is_said_each_time_and_ends_nothing() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (mut connector, mut headset) = (connector(&options(&folder, "192.168.1.5:7400")), Headset::default());
+    headset.is_connected = true;
+    for _ in 0..2 {
+        connector.take(&mut headset, LineEvent::Away);
+        assert_eq!(headset.shows(), "Nothing comes from 192.168.1.5:7400; the session goes on when it does");
+        connector.take(&mut headset, LineEvent::Back);
+        assert_eq!(headset.shows(), "192.168.1.5:7400 is heard again");
+        assert_eq!(connector.told.len(), 1, "the next outage is said again");
+    }
+    assert!(headset.is_connected);
+}
+
+#[test]
 fn an_unknown_name_is_reported_with_its_remedy() {
     let folder = tempfile::tempdir().expect("a folder");
     let (mut connector, mut headset) =
