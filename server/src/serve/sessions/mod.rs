@@ -22,6 +22,7 @@ use shadecast_protocol::time::ServerTime;
 use shadecast_transport::identity::Rights;
 use shadecast_transport::{CloseKind, Event, Handle, Network, PeerId, SendError};
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 use std::sync::Mutex;
 
 /// A client that was told why it is refused may close the connection itself within this time, nanoseconds.
@@ -463,7 +464,7 @@ impl Sessions {
             around.mailbox.away(peer, true);
             return (around.say)(&format!(
                 "Client away: {} ({WHY}); it may come back within 60 s",
-                guest.remote
+                guest.caller.remote
             ));
         }
         self.lose(peer, WHY, around);
@@ -473,7 +474,7 @@ impl Sessions {
     /// A client is heard again, perhaps from another address.
     fn back(&mut self, peer: PeerId, remote: SocketAddr, around: &Surroundings<'_>) {
         let Some(guest) = self.guests.get_mut(&peer) else { return };
-        guest.remote = remote;
+        guest.caller.remote = remote;
         if self.places.away(peer, false) {
             around.mailbox.away(peer, false);
             (around.say)(&format!("Client back: {remote}"));

@@ -216,7 +216,7 @@ fn a_client_that_is_away_is_waited_for_until_another_one_wants_its_place() {
     let stranger = greet(&mut network, 2, None, 5 * SECOND);
     assert!(desk.carrier.refusal(stranger).is_some_and(|reason| reason.contains("kept")), "not yet");
     network.take(Event::Back { peer: first, remote: moved }, 50 * SECOND);
-    assert_eq!((is_away(&desk), network.sessions.guests[&first].remote), (Some(false), moved));
+    assert_eq!((is_away(&desk), network.sessions.guests[&first].caller.remote), (Some(false), moved));
     assert!(desk.carrier.closed.borrow().is_empty());
     network.take(away, 60 * SECOND);
     let next = greet(&mut network, 3, None, 61 * SECOND);

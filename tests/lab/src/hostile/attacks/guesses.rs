@@ -135,7 +135,7 @@ impl Guesser {
                 let proof = panel.answered(&Answer { element, proof }, monotonic_now_ns()).unwrap_or(proof);
                 self.say(peer, &ClientMessage::Pairing(ClientPairing::Proof { proof }))?;
             }
-            ServerMessage::Goodbye => {}
+            ServerMessage::Goodbye | ServerMessage::Padding(_) => {}
         }
         Ok(())
     }
