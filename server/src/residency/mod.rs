@@ -110,8 +110,8 @@ pub struct Residency {
 }
 
 impl Residency {
-    /// An empty client memory.
-    pub(crate) fn new(geometry: &impl Geometry, patch_slots: u32, vertex_slots: u32) -> Self {
+    /// An empty client memory, for a scene of so many patches and vertices.
+    pub(crate) fn new([patches, vertices]: [u32; 2], patch_slots: u32, vertex_slots: u32) -> Self {
         Self {
             coder: Arc::new(Mutex::new(Coder::new(DeltaEncoder::new(vertex_slots, patch_slots)))),
             moving: BitSet::none(vertex_slots as usize),
@@ -120,9 +120,9 @@ impl Residency {
             skinning: None,
             patch_slots: Slots::new(patch_slots),
             vertex_slots: Slots::new(vertex_slots),
-            slot_of_patch: vec![None; geometry.patch_count()],
-            vertices: vec![None; geometry.vertex_count()],
-            retained: Retained::new(geometry.patch_count()),
+            slot_of_patch: vec![None; patches as usize],
+            vertices: vec![None; vertices as usize],
+            retained: Retained::new(patches as usize),
             waiting: Vec::new(),
             coming: Vec::new(),
             ahead: Vec::new(),

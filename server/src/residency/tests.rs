@@ -10,6 +10,8 @@ use shadecast_scene::patches::Patch;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 
 const PATCHES: u32 = 400;
+/// Patches and vertices.
+const COUNTS: [u32; 2] = [PATCHES, 2 * (PATCHES + 2)];
 const SEED: u64 = 23;
 
 /// A strip of quads; the first half of the patches belongs to a static instance, the rest to a moving one.
@@ -39,9 +41,6 @@ impl Geometry for Strip {
     }
     fn vertex_count(&self) -> usize {
         2 * (PATCHES as usize + 2)
-    }
-    fn patch_count(&self) -> usize {
-        PATCHES as usize
     }
 }
 
@@ -93,7 +92,7 @@ struct Run {
 impl Run {
     fn new() -> Self {
         Self {
-            residency: Residency::new(&Strip, 1024, 1024),
+            residency: Residency::new(COUNTS, 1024, 1024),
             decoder: DeltaDecoder::new(1024, 1024),
             mirror: Mirror { memory: ClientMemory::new(1024, 1024), samples: HashMap::new() },
             live: BTreeSet::new(),
@@ -167,7 +166,7 @@ fn the_client_holds_every_live_patch_with_its_block_and_vertices() {
 
 #[test]
 fn coverage_is_sent_with_blocks_of_cutouts_only() {
-    let mut residency = Residency::new(&Strip, 8192, 8192);
+    let mut residency = Residency::new(COUNTS, 8192, 8192);
     let all: Vec<_> = (0..30).map(|patch| change(patch, block(patch))).collect();
     for frame in 0..2 {
         let delta = residency.update(&Strip, &all, stamp(frame));
@@ -217,7 +216,7 @@ fn a_freed_slot_waits_for_the_display_of_its_update() {
 
 #[test]
 fn deferred_patches_get_the_remaining_budget() {
-    let mut residency = Residency::new(&Strip, 1024, 1024);
+    let mut residency = Residency::new(COUNTS, 1024, 1024);
     residency.put_behind((0..10).map(ScenePatch));
     let bytes = |patches: usize| patches * (PATCH_BYTES + 4 * STATIC_VERTEX_BYTES);
     residency.set_budget(Budget { geometry_bytes: bytes(14), ..Budget::UNLIMITED });
@@ -237,7 +236,7 @@ fn deferred_patches_get_the_remaining_budget() {
 
 #[test]
 fn what_is_put_behind_leaves_slots_free() {
-    let mut residency = Residency::new(&Strip, 64, 1024);
+    let mut residency = Residency::new(COUNTS, 64, 1024);
     let changes: Vec<_> = (0..80).map(|patch| change(patch, block(patch))).collect();
     residency.put_behind((0..80).map(ScenePatch));
     residency.update(&Strip, &changes, stamp(0));
@@ -246,7 +245,7 @@ fn what_is_put_behind_leaves_slots_free() {
 
 #[test]
 fn hidden_static_geometry_stays_and_returns_free() {
-    let mut residency = Residency::new(&Strip, 8192, 8192);
+    let mut residency = Residency::new(COUNTS, 8192, 8192);
     let change = |block| [change(3, block)];
     residency.update(&Strip, &change(block(3)), stamp(0));
     let lost = residency.update(&Strip, &change(None), stamp(1)).geometry;
@@ -257,7 +256,7 @@ fn hidden_static_geometry_stays_and_returns_free() {
 
 /// Steps that an instance is told on the way, and the largest distance of a decoded sample from where its vertex was, in steps.
 fn walk(wanted_m: &[f32]) -> (Vec<f32>, f32) {
-    let mut residency = Residency::new(&Strip, 1024, 1024);
+    let mut residency = Residency::new(COUNTS, 1024, 1024);
     let mut decoder = DeltaDecoder::new(1024, 1024);
     let (mut told_m, mut worst) = (Vec::new(), 0f32);
     for (frame, wanted_m) in (0..).zip(wanted_m) {
@@ -305,7 +304,7 @@ fn sized(patch: u32, log2: u8) -> PlacementChange {
 
 #[test]
 fn a_full_client_memory_takes_the_largest_blocks() {
-    let mut residency = Residency::new(&Strip, 8, 8);
+    let mut residency = Residency::new(COUNTS, 8, 8);
     let changes: Vec<_> = (0..50).map(|patch| sized(patch, if patch == 40 { 8 } else { 2 })).collect();
     let delta = residency.update(&Strip, &changes, stamp(0)).geometry;
     assert!(delta.new_vertices.len() <= 8 && residency.waiting() == 50 - delta.new_patches.len());
@@ -317,7 +316,7 @@ fn a_full_client_memory_takes_the_largest_blocks() {
 
 #[test]
 fn limited_updates_bring_the_largest_blocks_first() {
-    let mut residency = Residency::new(&Strip, 8192, 8192);
+    let mut residency = Residency::new(COUNTS, 8192, 8192);
     let changes: Vec<_> = (0..PATCHES).map(|patch| sized(patch, if patch >= 390 { 8 } else { 2 })).collect();
     residency.set_budget(Budget { geometry_bytes: 1200, ..Budget::UNLIMITED });
     let first = residency.update(&Strip, &changes, stamp(0));
@@ -339,7 +338,7 @@ fn limited_updates_bring_the_largest_blocks_first() {
 #[test]
 fn reserved_patches_come_with_the_next_update() {
     for (geometry_bytes, slots) in [(2000, 8192), (usize::MAX, 60)] {
-        let mut residency = Residency::new(&Strip, slots, slots);
+        let mut residency = Residency::new(COUNTS, slots, slots);
         residency.set_budget(Budget { geometry_bytes, ..Budget::UNLIMITED });
         let level = |first: u32, count: u32| (first..first + count).map(ScenePatch);
         let mut left = Allowance::default();
@@ -357,7 +356,7 @@ fn reserved_patches_come_with_the_next_update() {
 
 #[test]
 fn prefetched_patches_arrive_without_blocks_and_stay() {
-    let mut residency = Residency::new(&Strip, 1024, 1024);
+    let mut residency = Residency::new(COUNTS, 1024, 1024);
     residency.set_budget(Budget { geometry_bytes: 500, ..Budget::UNLIMITED });
     let ahead: Vec<ScenePatch> = (0..60).map(ScenePatch).collect();
     let (mut updates, mut came) = (0, 0);
@@ -381,7 +380,7 @@ fn prefetched_patches_arrive_without_blocks_and_stay() {
 fn a_pause_ends_with_the_samples_that_fit_the_budget() {
     let moving: Vec<_> = (200..400).map(|patch| sized(patch, 4)).collect();
     let after_a_pause = |budget_bytes| {
-        let mut residency = Residency::new(&Strip, 8192, 8192);
+        let mut residency = Residency::new(COUNTS, 8192, 8192);
         let delta = residency.update(&Strip, &moving, stamp(0));
         let mut decoder = DeltaDecoder::new(8192, 8192);
         decoder.decode(&residency.encode(&delta).bytes).expect("what the server sends is valid");
@@ -403,7 +402,7 @@ fn a_pause_ends_with_the_samples_that_fit_the_budget() {
 
 #[test]
 fn waiting_patches_enter_as_soon_as_slots_are_free() {
-    let mut residency = Residency::new(&Strip, 8, 8);
+    let mut residency = Residency::new(COUNTS, 8, 8);
     residency.update(&Strip, &[sized(0, 4), sized(1, 4), sized(2, 4)], stamp(0));
     residency.update(&Strip, &[sized(10, 4)], stamp(1));
     assert_eq!(residency.waiting(), 1, "three quads side by side take eight vertices");

@@ -21,8 +21,6 @@ pub(crate) trait Geometry {
     fn is_masked(&self, patch: ScenePatch) -> bool;
     /// Scene-wide count of vertices.
     fn vertex_count(&self) -> usize;
-    /// Scene-wide count of patches.
-    fn patch_count(&self) -> usize;
 }
 
 /// The corners of a patch, as indices within the model.
@@ -75,9 +73,6 @@ pub(crate) mod test_geometry {
                 }
                 fn vertex_count(&self) -> usize {
                     $vertices(self.patches) as usize
-                }
-                fn patch_count(&self) -> usize {
-                    self.patches as usize
                 }
             }
         };

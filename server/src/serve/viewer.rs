@@ -63,20 +63,32 @@ pub struct Reported {
 impl Reported {
     /// Takes in what a served client's session says; gives back what is no viewer's affair.
     pub(crate) fn take(&mut self, event: ServerEvent) -> Option<ServerEvent> {
-        match event {
-            ServerEvent::Head(head) => self.head = Some(head),
-            ServerEvent::Displayed(report) => {
-                let earlier = self.displayed.take();
-                self.displayed = Some(earlier.map_or(report, |earlier| earlier.merged(report)));
-            }
-            ServerEvent::RefreshRequest { .. } => self.refresh = true,
-            ServerEvent::Watching(is_watched) => self.watching = Some(is_watched),
-            ServerEvent::Steer(later) => {
-                self.steering = Some(self.steering.unwrap_or_default().then(later));
-            }
+        let none = Self::default();
+        let told = match event {
+            ServerEvent::Head(head) => Self { head: Some(head), ..none },
+            ServerEvent::Displayed(report) => Self { displayed: Some(report), ..none },
+            ServerEvent::RefreshRequest { .. } => Self { refresh: true, ..none },
+            ServerEvent::Watching(is_watched) => Self { watching: Some(is_watched), ..none },
+            ServerEvent::Steer(steer) => Self { steering: Some(steer), ..none },
             other => return Some(other),
-        }
+        };
+        self.then(told);
         None
+    }
+
+    /// Takes in what was told after it.
+    pub(crate) fn then(&mut self, later: Self) {
+        let Self { head, displayed, refresh, watching, steering } = later;
+        head.into_iter().for_each(|head| self.head = Some(head));
+        self.refresh |= refresh;
+        watching.into_iter().for_each(|is_watched| self.watching = Some(is_watched));
+        if let Some(report) = displayed {
+            let earlier = self.displayed.take();
+            self.displayed = Some(earlier.map_or(report, |earlier| earlier.merged(report)));
+        }
+        if let Some(later) = steering {
+            self.steering = Some(self.steering.unwrap_or_default().then(later));
+        }
     }
 }
 

@@ -11,7 +11,7 @@ const MAX_ID_BUFFER_PIXELS: u32 = ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
 const MAX_ID_BUFFER_SIDE: f32 = 8192.0;
 
 /// Extent and fields of view of a client's eyes.
-#[derive(Clone, Copy, Debug)]
+#[derive(Clone, Copy, Debug, PartialEq)]
 pub(crate) struct EyeSize {
     extent_pixels: [u32; 2],
     /// Left and right, as the display shows them.

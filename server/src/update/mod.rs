@@ -10,25 +10,25 @@ mod in_flight;
 mod numbers;
 mod placement_step;
 pub mod policy;
+pub(crate) mod ready;
 mod reports;
 mod shading_step;
 mod views;
 mod visibility_step;
 
 pub use crate::update::device_needs::check_device;
+pub use crate::update::ready::{LeftUpdates, ViewerMemory};
 
-use crate::atlas::layout::Layout;
 use crate::encode::Source;
 use crate::motion::delta::UpdateDelta;
 use crate::pacing::overlap::Flight;
-use crate::pacing::room::Room;
 use crate::shading::reuse::Reused;
 use crate::support::pool::Pool;
-use crate::update::eye::EyeSize;
 use crate::update::in_flight::{InFlight, Placed};
 use crate::update::numbers::UpdateNumbers;
 use crate::update::placement_step::PlacementStep;
 use crate::update::policy::UpdatePolicy;
+use crate::update::ready::{MemoryTerms, ReadyUpdates};
 use crate::update::shading_step::ShadingStep;
 use crate::update::visibility_step::{PlacementInput, Start, VisibilityStep};
 use crate::visibility::predict::{HeadTrack, PredictedViews};
@@ -43,6 +43,7 @@ use std::time::Duration;
 /// The updates of one viewer.
 pub struct ViewerUpdates {
     id: ViewerId,
+    terms: MemoryTerms,
     policy: Arc<UpdatePolicy>,
     head: HeadTrack,
     visibility: VisibilityStep,
@@ -122,31 +123,22 @@ impl ViewerUpdates {
         show: ShowOptions,
         policy: UpdatePolicy,
     ) -> Result<Self, GpuError> {
-        let (eye, policy) = (EyeSize::of(capabilities), Arc::new(policy));
-        let room = Room {
-            patches: welcome.patch_slots.min(Layout::most_blocks(welcome.atlas_extent_texels)),
-            vertices: welcome.vertex_slots,
-            triangles: capabilities.max_triangles,
-        };
-        let placement = PlacementStep::new(world, eye, welcome, (room, show.surround), &policy);
-        // A thread each: drivers compile on the thread that asks.
-        let (visibility, shading) = std::thread::scope(|scope| {
-            let shading = scope.spawn(|| ShadingStep::new(world, eye, welcome.atlas_extent_texels, &policy));
-            let visibility = VisibilityStep::new(world, (id, eye), show, &policy, &placement.residency);
-            (visibility, shading.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic)))
-        });
-        Ok(Self {
-            id,
-            head: HeadTrack::new(capabilities.display_period_ns),
-            visibility: visibility?,
-            placement,
-            shading: shading?,
-            policy,
-            in_flight: InFlight::default(),
-            numbers: UpdateNumbers::new(),
-            timings: Pool::default(),
-            rehearsed_s: None,
-        })
+        ReadyUpdates::new(&world.site(), None, welcome, capabilities, show, policy)?.join(world, id)
+    }
+
+    /// The same as [`Self::new`] in the memory of a viewer that has gone, where that had the same eyes and atlas.
+    ///
+    /// # Errors
+    /// The device has no memory for it, or is lost.
+    pub fn in_memory(
+        world: &World,
+        kept: ViewerMemory,
+        id: ViewerId,
+        (welcome, capabilities): (&Welcome, &Capabilities),
+        show: ShowOptions,
+    ) -> Result<Self, GpuError> {
+        let policy = UpdatePolicy::default();
+        ReadyUpdates::new(&world.site(), Some(kept), welcome, capabilities, show, policy)?.join(world, id)
     }
 
     /// Steps 1 to 8, one after the other. `None` before the first head state: no view is known.
@@ -255,11 +247,13 @@ impl ViewerUpdates {
         Ok(false)
     }
 
-    /// The viewer goes. Whatever was in flight is left, once the device reads no more of the world for it.
-    pub fn leave(self, world: &mut World) {
+    /// The viewer goes. Whatever was in flight is left, once the device reads no more of the world for it. Gives what it had: to be
+    /// dropped, or wiped and kept for another.
+    pub fn leave(self, world: &mut World) -> LeftUpdates {
         for ticket in self.in_flight.tickets().into_iter().flatten() {
             let _ = world.gpu().wait(ticket); // a lost device reads nothing either
         }
         world.leave(self.id);
+        LeftUpdates(self)
     }
 }

@@ -21,7 +21,7 @@ use crate::update::visibility_step::{Aim, Fit, PlacementInput, Seen};
 use crate::visibility::detail::Detail;
 use crate::visibility::lod_set::{LodInstance, LodSet};
 use crate::visibility::predict::PredictedViews;
-use crate::world::World;
+use crate::world::{Site, World};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::Welcome;
 use std::sync::Arc;
@@ -70,21 +70,21 @@ const MOST_MISSING: f64 = 0.003;
 impl PlacementStep {
     /// For a client with so much room. `surround`: part of the room for what an abrupt head could see.
     pub(crate) fn new(
-        world: &World,
+        Site { scene, timeline, .. }: &Site,
         eye: EyeSize,
         welcome: &Welcome,
         (room, surround): (Room, f32),
         policy: &Arc<UpdatePolicy>,
     ) -> Self {
-        let scene = world.scene();
+        let counts = [scene.numbering.totals.patches, scene.numbering.totals.vertices];
         Self {
             eye,
             policy: policy.clone(),
             layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize)
                 .with_surround(surround),
             changes: Vec::new(),
-            residency: Residency::new(world.samples(), welcome.patch_slots, welcome.vertex_slots)
-                .with_skinning(Skinning::new(scene, world.timeline(), welcome.motion), welcome.motion),
+            residency: Residency::new(counts, welcome.patch_slots, welcome.vertex_slots)
+                .with_skinning(Skinning::new(scene, timeline, welcome.motion), welcome.motion),
             room,
             shortage: Shortage::default(),
             density: Density::default(),

@@ -6,7 +6,8 @@
 use crate::atlas::layout::Layout;
 use crate::encode::Source;
 use crate::pacing::relief::{Measure, Measures};
-use crate::shading::passes::shading::Shading;
+use crate::scene::SceneGpu;
+use crate::shading::passes::shading::{Shading, ShadingMemory};
 use crate::shading::passes::ycbcr::Ycbcr;
 use crate::shading::reuse::{Moment, Reuse};
 use crate::support::pool::Pool;
@@ -17,7 +18,7 @@ use crate::update::in_flight::Placed;
 use crate::update::policy::UpdatePolicy;
 use crate::world::World;
 use crate::world::moment::Stance;
-use shadecast_gpu::{Access, GpuError, Image, Recorder};
+use shadecast_gpu::{Access, Gpu, GpuError, Image, Recorder};
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::picture::I420;
 use std::sync::Arc;
@@ -39,26 +40,55 @@ pub(crate) struct ShadingStep {
     pictures: Pool<I420>,
 }
 
+/// What it has on the device, in no world.
+pub(crate) struct ColourMemory {
+    shading: ShadingMemory,
+    ycbcr: Ycbcr,
+}
+
+impl ColourMemory {
+    /// For an atlas of this extent in `scene`. Any thread makes it.
+    pub(crate) fn new(
+        gpu: &Arc<Gpu>,
+        scene: &SceneGpu,
+        extent: AtlasExtent,
+        policy: &UpdatePolicy,
+    ) -> Result<Self, GpuError> {
+        let shading = ShadingMemory::new(gpu, scene, extent, policy.filter)?;
+        let ycbcr = Ycbcr::new(gpu, &shading.atlas, scene.has_masks())?;
+        Ok(Self { shading, ycbcr })
+    }
+
+    /// As it was when it was made: nothing of what was shaded is left.
+    pub(crate) fn wipe(&mut self, gpu: &Arc<Gpu>) -> Result<(), GpuError> {
+        self.shading.wipe(gpu)?;
+        self.ycbcr.wipe(gpu)
+    }
+}
+
 impl ShadingStep {
-    /// For an atlas of this extent.
+    /// For a viewer of `world`.
     pub(crate) fn new(
         world: &World,
         eye: EyeSize,
-        extent: AtlasExtent,
         policy: &Arc<UpdatePolicy>,
+        ColourMemory { shading, ycbcr }: ColourMemory,
     ) -> Result<Self, GpuError> {
-        let (gpu, scene) = (world.gpu(), world.scene());
-        let shading = Shading::new(gpu, scene, world.animation(), world.shadow(), extent, policy.filter)?;
         Ok(Self {
             eye,
             policy: policy.clone(),
-            ycbcr: Ycbcr::new(gpu, &shading.atlas, scene.has_masks())?,
-            shading,
+            ycbcr,
+            shading: shading.bind(world.scene(), world.animation(), world.shadow())?,
             reuse: Reuse::new(policy.reuse),
             budget_texels: u64::MAX,
             measures: Measures::default(),
             pictures: Pool::default(),
         })
+    }
+
+    /// Leaves the world. No submitted work still uses it.
+    pub(crate) fn into_memory(self) -> ColourMemory {
+        ColourMemory { shading: self.shading.unbind(), ycbcr: self.ycbcr }
     }
 
     /// Texels that an update may shade from now on, beside those of new blocks.
@@ -91,7 +121,7 @@ impl ShadingStep {
 
     /// The atlas, as shaders read it.
     pub(crate) fn atlas(&self) -> &Image {
-        &self.shading.atlas
+        self.shading.atlas()
     }
 
     /// Texels of the atlas that the last update converted for the encoder.

@@ -31,6 +31,11 @@ impl ViewsBuffer {
         Ok(Self { buffer: Buffer::new(gpu, "views", bytes, Memory::Upload)?, eye, extent: id_buffer_extent })
     }
 
+    /// As it was when it was made. No submitted work still reads it.
+    pub(crate) fn wipe(&mut self) {
+        self.buffer.bytes_mut().fill(0);
+    }
+
     /// Writes the views of an update. Returns the number of turned frusta of each eye; 0: each is drawn as it is.
     pub(crate) fn write(&mut self, views: &PredictedViews, update: UpdateId, texels_per_pixel: f32) -> usize {
         let eyes = || views.eyes.iter().flat_map(|pair| pair.iter().enumerate()).enumerate();

@@ -19,14 +19,14 @@ use crate::visibility::culling::{Culling, Needed, Sight};
 use crate::visibility::detail::{Detail, LodCost};
 use crate::visibility::lod_set::{LodInstance, LodSet};
 use crate::visibility::nearness::pixels_per_metre;
-use crate::visibility::passes::extents::Extents;
-use crate::visibility::passes::id_buffer::{IdBuffer, Pass};
+use crate::visibility::passes::extents::{Extents, ExtentsMemory};
+use crate::visibility::passes::id_buffer::{IdBuffer, IdBufferMemory, Pass, TriangleNumbers};
 use crate::visibility::passes::mark::Mark;
 use crate::visibility::passes::spread::Spread;
 use crate::visibility::predict::PredictedViews;
 use crate::visibility::sweep::{Glance, Sweep};
 use crate::world::{Sampled, ViewerId, World};
-use shadecast_gpu::{Access, GpuError, Part, Recorder, Ticket, Timings};
+use shadecast_gpu::{Access, Gpu, GpuError, Part, Recorder, Ticket, Timings};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 use shadecast_shaders::generated::SeenGpu;
@@ -59,6 +59,15 @@ pub(crate) struct VisibilityStep {
     lists: Lists,
     /// The extents that the last pass found.
     seen: Vec<SeenGpu>,
+}
+
+/// What it has on the device, in no world.
+pub(crate) struct VisibilityMemory {
+    views: ViewsBuffer,
+    id_buffer: IdBufferMemory,
+    mark: Mark,
+    spread: Spread,
+    extents: ExtentsMemory,
 }
 
 /// The sweep around the head.
@@ -182,6 +191,23 @@ const RARE_NS: i64 = 100_000_000;
 const RING_NS: i64 = 60_000_000;
 const MOST_RINGS: i64 = 8;
 
+impl VisibilityMemory {
+    /// For eyes of this size in `scene`. Any thread makes it.
+    pub(crate) fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, eye: EyeSize) -> Result<Self, GpuError> {
+        let id_buffer_extent = eye.id_buffer_extent();
+        let views = ViewsBuffer::new(gpu, eye, id_buffer_extent)?;
+        let id_buffer = IdBufferMemory::new(gpu, scene, id_buffer_extent, TriangleNumbers::of(gpu))?;
+        let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.in_lod_set)?;
+        let spread = Spread::new(gpu, scene, &mark.visible)?;
+        Ok(Self { views, id_buffer, mark, spread, extents: ExtentsMemory::new(gpu, scene)? })
+    }
+
+    /// As it was when it was made. Each pass clears what it draws and counts in.
+    pub(crate) fn wipe(&mut self) {
+        self.views.wipe();
+    }
+}
+
 impl VisibilityStep {
     /// For a viewer of `world`, whose client's memory is as it begins.
     pub(crate) fn new(
@@ -189,15 +215,12 @@ impl VisibilityStep {
         (viewer, eye): (ViewerId, EyeSize),
         show: ShowOptions,
         policy: &Arc<UpdatePolicy>,
-        residency: &Residency,
+        (residency, memory): (&Residency, VisibilityMemory),
     ) -> Result<Self, GpuError> {
-        let (gpu, scene, animation) = (world.gpu(), world.scene(), world.animation());
-        let id_buffer_extent = eye.id_buffer_extent();
-        let views = ViewsBuffer::new(gpu, eye, id_buffer_extent)?;
-        let id_buffer = IdBuffer::new(gpu, scene, animation, &views.buffer, id_buffer_extent)?;
-        let mark = Mark::new(gpu, &id_buffer.image, scene.numbering.totals.in_lod_set)?;
-        let spread = Spread::new(gpu, scene, &mark.visible)?;
-        let extents = Extents::new(gpu, scene, animation, &views.buffer, &mark.visible)?;
+        let (scene, animation) = (world.scene(), world.animation());
+        let VisibilityMemory { views, id_buffer, mark, spread, extents } = memory;
+        let id_buffer = id_buffer.bind(scene, animation, &views.buffer)?;
+        let extents = extents.bind(scene, animation, &views.buffer, &mark.visible)?;
         Ok(Self {
             viewer,
             eye,
@@ -217,6 +240,12 @@ impl VisibilityStep {
             lists: Lists::default(),
             seen: Vec::new(),
         })
+    }
+
+    /// Leaves the world. No submitted work still uses it.
+    pub(crate) fn into_memory(self) -> VisibilityMemory {
+        let Self { views, id_buffer, mark, spread, extents, .. } = self;
+        VisibilityMemory { views, id_buffer: id_buffer.unbind(), mark, spread, extents: extents.unbind() }
     }
 
     /// Records and submits the samples of an update and its first visibility pass.
@@ -407,7 +436,7 @@ impl VisibilityStep {
 
     /// Pixels of the ID buffer that the next views are drawn to.
     fn ids_extent(&self) -> [u32; 2] {
-        let whole = self.id_buffer.image.desc().extent;
+        let whole = self.id_buffer.image().desc().extent;
         match self.measures.has(Measure::FewerIds) {
             true => self.mark.half_of(whole),
             false => whole,

@@ -51,6 +51,17 @@ pub struct WorldCounts {
     pub tangents: u64,
 }
 
+/// What of a world is there before it, and after it: the device, the scene and its motion.
+#[derive(Clone)]
+pub(crate) struct Site {
+    /// The device.
+    pub gpu: Arc<Gpu>,
+    /// The scene.
+    pub scene: Arc<SceneGpu>,
+    /// How it moves.
+    pub timeline: SharedTimeline,
+}
+
 /// See the module. A viewer asks it for what its update needs; what is there already, for another viewer or from an update
 /// before, is not made again.
 pub struct World {
@@ -106,6 +117,12 @@ impl World {
             gpu: gpu.clone(),
             scene: scene.clone(),
         })
+    }
+
+    /// What is there without it.
+    pub(crate) fn site(&self) -> Site {
+        let (gpu, scene, timeline) = (self.gpu.clone(), self.scene.clone(), self.timeline().clone());
+        Site { gpu, scene, timeline }
     }
 
     /// Its device.

@@ -139,8 +139,4 @@ impl Geometry for SampleWindow {
     fn vertex_count(&self) -> usize {
         self.scene.numbering.totals.vertices as usize
     }
-
-    fn patch_count(&self) -> usize {
-        self.scene.numbering.totals.patches as usize
-    }
 }

@@ -79,9 +79,9 @@ fn ids(
         id_buffer.record(&mut recorder, scene, &animation, pass);
     }
     let layouts = [vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL, vk::ImageLayout::TRANSFER_SRC_OPTIMAL];
-    recorder.transition(&id_buffer.image, layouts, Access::COLOR_WRITE, Access::COPY_READ);
+    recorder.transition(id_buffer.image(), layouts, Access::COLOR_WRITE, Access::COPY_READ);
     for layer in 0..2 {
-        recorder.read_image(&id_buffer.image, layer, &target, u64::from(layer) * PIXELS as u64 * 4);
+        recorder.read_image(id_buffer.image(), layer, &target, u64::from(layer) * PIXELS as u64 * 4);
     }
     recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
     gpu.wait(recorder.submit().unwrap()).unwrap();

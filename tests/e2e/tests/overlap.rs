@@ -1,4 +1,4 @@
-//! Overlapping updates equal sequential ones. Validation is on.
+//! Overlapping updates equal sequential ones, and those in a leaver's memory equal those in new memory. Validation is on.
 
 use glam::{Quat, Vec3};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
@@ -16,6 +16,7 @@ use std::sync::Arc;
 
 const PERIOD_NS: i64 = 33_333_333;
 const UPDATES: u32 = 10;
+const SHOW: ShowOptions = ShowOptions { detail_pixels: 1.0, surround: 0.25 };
 /// The update that is begun when a viewer leaves.
 const LEAVES_AT: u32 = 3;
 
@@ -32,9 +33,21 @@ impl Lone {
 
     fn of_world(world: World) -> Self {
         let (welcome, capabilities) = terms();
-        let show = ShowOptions { detail_pixels: 1.0, surround: 0.25 };
-        let updates = ViewerUpdates::new(&world, ViewerId(1), &welcome, &capabilities, show).expect("memory");
+        let updates = ViewerUpdates::new(&world, ViewerId(1), &welcome, &capabilities, SHOW).expect("memory");
         Self { world, updates }
+    }
+
+    /// The same in the memory of one that has made some updates.
+    fn after_another(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>) -> Self {
+        let mut another = Self::new(gpu, scene);
+        for number in 0..UPDATES {
+            let now = another.turn(number);
+            another.updates.update(&mut another.world, now).expect("a device").expect("a head is known");
+        }
+        let kept = another.updates.leave(&mut another.world).wiped(gpu).expect("a device");
+        let (world, (welcome, capabilities)) = (World::new(gpu, scene).expect("memory"), terms());
+        let updates = ViewerUpdates::in_memory(&world, kept, ViewerId(2), (&welcome, &capabilities), SHOW);
+        Self { world, updates: updates.expect("memory") }
     }
 
     /// The head turns and comes nearer; gives when it did.
@@ -154,6 +167,16 @@ fn a_viewer_leaving_mid_update_leaves_the_world_intact() {
     let next = Lone::of_world(world).in_a_row(updates.clone());
     let first = Lone::new(&gpu, &scene).in_a_row(updates);
     assert_same(&gpu, &first, &next);
+}
+
+/// Texels without a block are compared as well: a picture holds them.
+#[test]
+fn nothing_of_a_viewer_is_left_in_the_memory_that_another_gets() {
+    let (gpu, scene) = dragons(2);
+    let last = UPDATES - 1..UPDATES;
+    let after_another = Lone::after_another(&gpu, &scene).in_a_row(last.clone());
+    let first = Lone::new(&gpu, &scene).in_a_row(last);
+    assert_same(&gpu, &first, &after_another);
 }
 
 #[test]

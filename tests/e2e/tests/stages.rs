@@ -114,7 +114,7 @@ fn marks_and_extents(part: [u32; 2], rings: u32) -> usize {
     let id_buffer = IdBuffer::new(&gpu, &scene, &animation, &views, extent).unwrap();
     let instances = scene.numbering.instances.len();
     let lods = LodSet::new(&scene.numbering, vec![Some(LodChoice { shown: 0, next: None }); instances]);
-    let mark = Mark::new(&gpu, &id_buffer.image, scene.numbering.totals.in_lod_set).unwrap();
+    let mark = Mark::new(&gpu, id_buffer.image(), scene.numbering.totals.in_lod_set).unwrap();
     let spread = Spread::new(&gpu, &scene, &mark.visible).unwrap();
     let extents = Extents::new(&gpu, &scene, &animation, &views, &mark.visible).unwrap();
     let pixels = (extent[0] * extent[1]) as usize;
@@ -140,9 +140,9 @@ fn marks_and_extents(part: [u32; 2], rings: u32) -> usize {
         shadecast_gpu::vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL,
         shadecast_gpu::vk::ImageLayout::TRANSFER_SRC_OPTIMAL,
     ];
-    recorder.transition(&id_buffer.image, layouts, Access::COMPUTE_READ, Access::COPY_READ);
+    recorder.transition(id_buffer.image(), layouts, Access::COMPUTE_READ, Access::COPY_READ);
     (0..2).for_each(|layer| {
-        recorder.read_image(&id_buffer.image, layer, &ids, u64::from(layer) * pixels as u64 * 4)
+        recorder.read_image(id_buffer.image(), layer, &ids, u64::from(layer) * pixels as u64 * 4)
     });
     recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
     gpu.wait(recorder.submit().unwrap()).unwrap();

@@ -27,6 +27,13 @@ pub(super) struct Job {
     pub(super) qp: u8,
 }
 
+/// Who gets an encoder's pictures, and the row of the trace that tells of them.
+pub(super) struct Pictures {
+    pub(super) outlet: Arc<dyn Outlet>,
+    pub(super) peer: PeerId,
+    pub(super) row: Row,
+}
+
 /// What became of a picture.
 pub(super) enum EncodeOutcome {
     /// It was handed to the transport.
@@ -48,6 +55,10 @@ pub(super) trait PictureEncoder {
     fn give(&mut self, job: Job);
     /// What became of the picture that was handed over, once that is known.
     fn poll(&mut self) -> Option<EncodeOutcome>;
+    /// No picture is wanted any more. Gives the thread that may still be at its last one, for who can wait for it.
+    fn end(self: Box<Self>) -> Option<JoinHandle<()>> {
+        None
+    }
 }
 
 /// An encoder on a thread of its own. Dropping it waits for the picture that is being encoded.
@@ -60,12 +71,8 @@ pub(super) struct EncoderThread {
 }
 
 impl EncoderThread {
-    pub(super) fn start(
-        encoder: Box<dyn Encoder>,
-        outlet: Arc<dyn Outlet>,
-        peer: PeerId,
-        row: Row,
-    ) -> io::Result<Self> {
+    pub(super) fn start(encoder: Box<dyn Encoder>, pictures: Pictures) -> io::Result<Self> {
+        let Pictures { outlet, peer, row } = pictures;
         let (jobs, jobs_from) = sync_channel(1);
         let (outcomes_to, outcomes) = channel();
         let thread = std::thread::Builder::new().name("encoder".into()).spawn(move || {
@@ -97,6 +104,11 @@ impl PictureEncoder for EncoderThread {
         };
         self.is_busy = false;
         Some(outcome)
+    }
+
+    fn end(mut self: Box<Self>) -> Option<JoinHandle<()>> {
+        self.jobs = None;
+        self.thread.take()
     }
 }
 

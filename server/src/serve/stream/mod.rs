@@ -5,6 +5,7 @@
 //! so that what leaves is always the newest). What the network tells the pipeline is the newest of each kind; what the pipeline
 //! makes goes to the transport without the network's thread.
 
+mod backstage;
 mod cadence;
 mod codes;
 mod encoder;

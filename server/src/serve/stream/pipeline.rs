@@ -4,7 +4,7 @@
 //! device stops all of it; then it is opened again from the top. Time comes in; nothing here reads a clock by itself.
 
 use super::cadence::Cadence;
-use super::encoder::{EncodeOutcome, EncoderThread, Job, PictureEncoder, refused_by};
+use super::encoder::{EncodeOutcome, EncoderThread, Job, PictureEncoder, Pictures, refused_by};
 use super::outlet::Outlet;
 use super::rebuild::Rebuild;
 use super::traced::{DeviceRow, Row, Traced};
@@ -16,7 +16,7 @@ use crate::pacing::quality::QualityOptions;
 use crate::serve::scheduler::{Action, LONGEST_WAIT_NS, SHORTEST_WAIT_NS, Scheduler, Situation};
 use crate::serve::sessions::Say;
 use crate::serve::sessions::mailbox::{Accepted, Client, Mailbox, News};
-use crate::serve::viewer::{Update, Updates, Viewer};
+use crate::serve::viewer::{Reported, Update, Updates, Viewer};
 use crate::support::lock::lock;
 use crate::update::Shaded;
 use anyhow::Context;
@@ -38,12 +38,35 @@ const SHADING: &str = "shading an update";
 const MAX_ENCODER_FAILURES: u32 = 3;
 /// Clients that have gone whose figures are kept.
 const MAX_VIEWERS_REMEMBERED: usize = 64;
+/// From one look at what is made for a newcomer to the next, at most, nanoseconds.
+const NEWCOMER_WAIT_NS: i64 = 1_000_000;
+
+/// What serves a client: what makes its updates, and what encodes their pictures.
+pub(super) type Opened<U> = (U, Box<dyn PictureEncoder>);
+
+/// Why a client cannot be served.
+pub(super) enum OpenError {
+    /// The device.
+    Device(GpuError),
+    /// Its encoder.
+    Encoder(String),
+}
+
 /// What makes updates: the device and the scene on it.
 pub(super) trait Studio {
     /// What makes one client's updates.
     type Updates: Updates;
-    /// For a client that has come.
-    fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<Self::Updates, GpuError>;
+    /// What is being made for a client that has come. Dropped, it is not wanted any more.
+    type Opening;
+    /// Begins to make what serves a client that has come. Nobody waits for it.
+    fn open(
+        &mut self,
+        welcome: &Welcome,
+        capabilities: &Capabilities,
+        pictures: Pictures,
+    ) -> Result<Self::Opening, OpenError>;
+    /// What serves the client, once it is made.
+    fn opened(&mut self, opening: &mut Self::Opening) -> Option<Result<Opened<Self::Updates>, OpenError>>;
     /// How far a client's updates in flight have come.
     fn flight(&self, updates: &Self::Updates) -> Result<Flight, GpuError>;
     /// Makes a step of a client's updates, which begin at `now` if they do; gives what it collects. Before the first head state
@@ -59,7 +82,7 @@ pub(super) trait Studio {
     fn rest(&self, updates: &Self::Updates, at_most: Duration) -> Result<bool, GpuError>;
     /// A client has gone, and what it had in flight with it. `has_failed`: in the middle of an update, of which nothing is to be
     /// believed.
-    fn close(&mut self, updates: Self::Updates, has_failed: bool);
+    fn close(&mut self, opened: Opened<Self::Updates>, has_failed: bool);
     /// What is known of a client's pictures.
     fn account(&self, updates: &Self::Updates, stats: &mut ViewerStats);
     /// How finely pictures are quantised.
@@ -70,12 +93,10 @@ pub(super) trait Studio {
     fn start_encoder(
         &mut self,
         welcome: &Welcome,
-        outlet: Arc<dyn Outlet>,
-        peer: PeerId,
-        row: Row,
+        pictures: Pictures,
     ) -> anyhow::Result<Box<dyn PictureEncoder>> {
         let encoder = self.encoder(welcome)?;
-        Ok(Box::new(EncoderThread::start(encoder, outlet, peer, row)?))
+        Ok(Box::new(EncoderThread::start(encoder, pictures)?))
     }
     /// A viewer wants the world to stand, or to go on.
     fn steer(&mut self, wanted: Steering, now: ServerTime);
@@ -94,6 +115,8 @@ pub(super) struct Pipeline<'a, S: Studio> {
     clock: &'a dyn Fn() -> i64,
     epoch_ns: i64,
     clients: BTreeMap<PeerId, Served<S::Updates>>,
+    /// Accepted clients whose updates nobody can make yet.
+    newcomers: BTreeMap<PeerId, Newcomer<S::Opening>>,
     scheduler: Scheduler<PeerId>,
     rebuild: Rebuild,
     /// When the device is opened again; `None` while it is open.
@@ -108,6 +131,16 @@ pub(super) struct Pipeline<'a, S: Studio> {
     of_pipeline: Row,
     of_steps: Row,
     of_device: DeviceRow,
+}
+
+/// A client that will be served.
+struct Newcomer<O> {
+    accepted: Accepted,
+    opening: O,
+    /// What it has told meanwhile.
+    reported: Reported,
+    /// Of all clients so far.
+    number: u32,
 }
 
 /// A client that is served.
@@ -183,6 +216,13 @@ impl Fault {
         Self::Client(refused_by(panic))
     }
 
+    fn of_opening(error: &OpenError) -> Self {
+        match error {
+            OpenError::Device(error) => Self::of(error, "making the pipeline for this client"),
+            OpenError::Encoder(reason) => Self::of_encoder(reason),
+        }
+    }
+
     fn of_encoder(reason: &str) -> Self {
         let reason = format!("pictures cannot be encoded: {reason}");
         Self::Client(Refused::new(&reason, "connect again; the server's log says more"))
@@ -219,6 +259,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             clock,
             epoch_ns,
             clients: BTreeMap::new(),
+            newcomers: BTreeMap::new(),
             scheduler: Scheduler::new((1e9 / rate_hz) as i64),
             rebuild: Rebuild::default(),
             reopen_ns: None,
@@ -247,6 +288,9 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         for (peer, news) in self.mailbox.take() {
             self.take_news(peer, news, now_ns)?;
         }
+        for peer in self.newcomers.keys().copied().collect::<Vec<_>>() {
+            self.poll_newcomer(peer, now_ns)?;
+        }
         for peer in self.clients.keys().copied().collect::<Vec<_>>() {
             let polled = self.poll_encoder(peer, now_ns);
             self.settle(peer, polled, now_ns)?;
@@ -257,7 +301,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             Ok(Action::Make(peer, step)) => (peer, self.make(peer, step, now_ns)),
             Ok(Action::HandOver(peer)) => (peer, self.hand_over(peer, now_ns)),
             Ok(Action::AwaitDevice(peer, at_most_ns)) => return self.rest(peer, at_most_ns, now_ns),
-            Ok(Action::Sleep(wait_ns)) => return Ok(nanoseconds(wait_ns)),
+            Ok(Action::Sleep(wait_ns)) if self.newcomers.is_empty() => return Ok(nanoseconds(wait_ns)),
+            Ok(Action::Sleep(wait_ns)) => return Ok(nanoseconds(wait_ns.min(NEWCOMER_WAIT_NS))),
             Err((peer, fault)) => (peer, Err(fault)),
         };
         self.settle(peer, done, now_ns)?;
@@ -278,7 +323,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         }
     }
 
-    /// Takes what is new of a client; makes its pipeline where it has just come.
+    /// Takes what is new of a client; has made what serves it where it has just come.
     fn take_news(
         &mut self,
         peer: PeerId,
@@ -290,9 +335,17 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             Client::Gone => self.close(peer, false, now_ns),
             Client::Accepted(accepted) => {
                 self.close(peer, false, now_ns);
-                let accepted = self.accept(peer, *accepted, now_ns);
-                self.settle(peer, accepted, now_ns)?;
+                let opened = self.open(peer, *accepted);
+                self.settle(peer, opened, now_ns)?;
             }
+        }
+        self.report(peer, reported, now_ns)
+    }
+
+    /// A client has told something.
+    fn report(&mut self, peer: PeerId, reported: Reported, now_ns: i64) -> anyhow::Result<()> {
+        if let Some(newcomer) = self.newcomers.get_mut(&peer) {
+            newcomer.reported.then(reported);
         }
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         if let Some(report) = &reported.displayed {
@@ -308,14 +361,48 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         self.settle(peer, applied, now_ns)
     }
 
-    fn accept(&mut self, peer: PeerId, accepted: Accepted, now_ns: i64) -> Result<(), Fault> {
+    /// Has made what serves a client that has come.
+    fn open(&mut self, peer: PeerId, accepted: Accepted) -> Result<(), Fault> {
         self.stats.clients += 1;
-        let Accepted { welcome, capabilities, sender } = accepted;
-        let encoder = guarded(|| self.start_encoder(peer, &welcome))?;
-        let updates = guarded(|| {
-            let updates = self.studio.open(&welcome, &capabilities);
-            updates.map_err(|error| Fault::of(&error, "making the pipeline for this client"))
+        let (number, reported) = (self.stats.clients, Reported::default());
+        let Accepted { welcome, capabilities, .. } = &accepted;
+        let pictures = self.pictures_of(peer);
+        let opening = guarded(|| {
+            let opening = self.studio.open(welcome, capabilities, pictures);
+            opening.map_err(|error| Fault::of_opening(&error))
         })?;
+        self.newcomers.insert(peer, Newcomer { accepted, opening, reported, number });
+        Ok(())
+    }
+
+    /// Serves a newcomer from now on, if what serves it is made.
+    fn poll_newcomer(&mut self, peer: PeerId, now_ns: i64) -> anyhow::Result<()> {
+        let Some(newcomer) = self.newcomers.get_mut(&peer) else { return Ok(()) };
+        let opened = guarded(|| {
+            let opened = self.studio.opened(&mut newcomer.opening).transpose();
+            opened.map_err(|error| Fault::of_opening(&error))
+        });
+        if matches!(opened, Ok(None)) {
+            return Ok(());
+        }
+        let Some(Newcomer { accepted, reported, number, .. }) = self.newcomers.remove(&peer) else {
+            return Ok(());
+        };
+        match opened {
+            Ok(None) => {}
+            Ok(Some(opened)) => self.serve(peer, (accepted, number), opened, now_ns),
+            Err(fault) => self.settle(peer, Err(fault), now_ns)?,
+        }
+        self.report(peer, reported, now_ns)
+    }
+
+    fn serve(
+        &mut self,
+        peer: PeerId,
+        (Accepted { welcome, sender, .. }, number): (Accepted, u32),
+        (updates, encoder): Opened<S::Updates>,
+        now_ns: i64,
+    ) {
         let quality = self.studio.quality().of_codec(welcome.codec);
         let viewer = Viewer::new(updates, sender, quality, self.scheduler.period_ns());
         viewer.motion().into_iter().for_each(|motion| self.cadence.join(peer, motion.clone()));
@@ -328,16 +415,19 @@ impl<'a, S: Studio> Pipeline<'a, S> {
                 encoder,
                 encoder_failures: 0,
                 made: None,
-                stats: ViewerStats { viewer: self.stats.clients, ..ViewerStats::default() },
+                stats: ViewerStats { viewer: number, ..ViewerStats::default() },
                 since_ns: now_ns,
             },
         );
-        Ok(())
+    }
+
+    fn pictures_of(&self, peer: PeerId) -> Pictures {
+        Pictures { outlet: self.outlet.clone(), peer, row: self.traced.row("encoder") }
     }
 
     fn start_encoder(&mut self, peer: PeerId, welcome: &Welcome) -> Result<Box<dyn PictureEncoder>, Fault> {
-        let started =
-            self.studio.start_encoder(welcome, self.outlet.clone(), peer, self.traced.row("encoder"));
+        let pictures = self.pictures_of(peer);
+        let started = self.studio.start_encoder(welcome, pictures);
         started.map_err(|error| Fault::of_encoder(&error.to_string()))
     }
 
@@ -440,7 +530,8 @@ impl<'a, S: Studio> Pipeline<'a, S> {
             Err(Fault::Client(refused)) => self.refuse(peer, refused, false, now_ns),
             Err(Fault::Update(refused)) => self.refuse(peer, refused, true, now_ns),
             Err(Fault::Lost(reason)) => {
-                let others = self.clients.keys().copied().filter(|other| *other != peer);
+                let all = self.clients.keys().chain(self.newcomers.keys()).copied();
+                let others = all.filter(|other| *other != peer);
                 let all: Vec<PeerId> = others.chain([peer]).collect();
                 for peer in all {
                     self.close(peer, true, now_ns);
@@ -462,11 +553,11 @@ impl<'a, S: Studio> Pipeline<'a, S> {
 
     /// Forgets a client; what its figures were stays.
     fn close(&mut self, peer: PeerId, has_failed: bool, now_ns: i64) {
+        self.newcomers.remove(&peer);
         let Some(client) = self.clients.remove(&peer) else { return };
         self.scheduler.leave(peer);
         self.cadence.leave(peer);
         let Served { viewer, mut stats, since_ns, encoder, .. } = client;
-        drop(encoder);
         let motion = viewer.motion().map(|motion| lock(motion).bytes()).unwrap_or_default();
         self.stats.sample_bytes += motion.sample_bytes;
         self.stats.samples += motion.samples;
@@ -480,7 +571,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         if self.stats.viewers.len() > MAX_VIEWERS_REMEMBERED {
             self.stats.viewers.remove(0);
         }
-        self.studio.close(updates, has_failed);
+        self.studio.close((updates, encoder), has_failed);
     }
 
     fn lost(&mut self, reason: &str, now_ns: i64) -> anyhow::Result<()> {

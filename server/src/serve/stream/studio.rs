@@ -1,6 +1,8 @@
 //! The pipeline's studio on the real device: the world while somebody looks, and a [`ViewerUpdates`] a viewer.
 
-use super::pipeline::Studio;
+use super::backstage::{Backstage, Opening, Order};
+use super::encoder::{PictureEncoder, Pictures};
+use super::pipeline::{OpenError, Opened, Studio};
 use super::rehearsal::rehearse;
 use super::{StreamOptions, ViewerStats};
 use crate::animation::timeline::SharedTimeline;
@@ -16,8 +18,9 @@ use crate::pacing::relief::Measures;
 use crate::pacing::shade_rate::ShadeRate;
 use crate::scene::SceneGpu;
 use crate::serve::viewer::Updates;
+use crate::update::ready::ReadyUpdates;
 use crate::update::{Shaded, ViewerUpdates};
-use crate::world::{ViewerId, World};
+use crate::world::{Site, ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError, HeldPipelines};
 use shadecast_protocol::delta::EncodedDelta;
 use shadecast_protocol::message::{Capabilities, Codec, Displayed, HeadState, Welcome};
@@ -60,6 +63,8 @@ pub(super) struct GpuStudio<'a> {
     scene: Option<Scene>,
     reopen: &'a Reopen<'a>,
     options: &'a StreamOptions,
+    /// Of this device; anew with each.
+    backstage: Backstage,
 }
 
 impl<'a> GpuStudio<'a> {
@@ -69,7 +74,7 @@ impl<'a> GpuStudio<'a> {
         timeline: SharedTimeline,
         reopen: &'a Reopen<'a>,
         options: &'a StreamOptions,
-    ) -> Result<Self, GpuError> {
+    ) -> anyhow::Result<Self> {
         let mut studio = Self {
             device: Some(device),
             timeline,
@@ -83,6 +88,7 @@ impl<'a> GpuStudio<'a> {
             rehearsed_update_ns: 0,
             reopen,
             options,
+            backstage: Backstage::start()?,
         };
         studio.rehearse()?;
         Ok(studio)
@@ -112,12 +118,9 @@ impl<'a> GpuStudio<'a> {
         let closed = || GpuError::NoDevice("it was lost and is not open again yet".into());
         self.device.as_ref().ok_or_else(closed)
     }
-}
 
-impl Studio for GpuStudio<'_> {
-    type Updates = ViewerUpdates;
-
-    fn open(&mut self, welcome: &Welcome, capabilities: &Capabilities) -> Result<ViewerUpdates, GpuError> {
+    /// The world takes in what was made for a viewer; it is made where nobody else looks.
+    fn take_in(&mut self, ready: ReadyUpdates) -> Result<ViewerUpdates, GpuError> {
         let world = match self.world.take() {
             Some(world) => world,
             None => {
@@ -126,14 +129,57 @@ impl Studio for GpuStudio<'_> {
             }
         };
         self.viewers += 1;
-        let mut updates =
-            ViewerUpdates::new(&world, ViewerId(self.viewers), welcome, capabilities, self.options.show);
+        let mut updates = ready.join(&world, ViewerId(self.viewers));
         updates.iter_mut().for_each(|updates| updates.note_rehearsal(self.rehearsed_update_ns));
         if self.looking > 0 || updates.is_ok() {
             self.world = Some(world);
         }
         self.looking += usize::from(updates.is_ok());
         updates
+    }
+}
+
+/// Makes the encoder of a session, on any thread.
+fn encoder_of(
+    StreamOptions { quality, rate_hz, encoders, .. }: &StreamOptions,
+    welcome: &Welcome,
+) -> impl FnOnce() -> Result<Box<dyn Encoder>, EncodeError> + Send + 'static {
+    let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, quality.first_qp(), *rate_hz);
+    let (codec, encoders) = (welcome.codec, encoders.clone());
+    move || match codec {
+        Codec::H264 => encoders.encoder(settings),
+        codec => encode::encoder(codec, settings),
+    }
+}
+
+impl Studio for GpuStudio<'_> {
+    type Updates = ViewerUpdates;
+    type Opening = Opening;
+
+    fn open(
+        &mut self,
+        welcome: &Welcome,
+        capabilities: &Capabilities,
+        pictures: Pictures,
+    ) -> Result<Opening, OpenError> {
+        let Device { gpu, scene } = self.device().map_err(OpenError::Device)?;
+        let (gpu, scene, timeline) = (gpu.clone(), scene.clone(), self.timeline.clone());
+        Ok(self.backstage.open(Order {
+            site: Site { gpu, scene, timeline },
+            welcome: welcome.clone(),
+            capabilities: capabilities.clone(),
+            show: self.options.show,
+            encoder: Box::new(encoder_of(self.options, welcome)),
+            pictures,
+        }))
+    }
+
+    fn opened(&mut self, opening: &mut Opening) -> Option<Result<Opened<ViewerUpdates>, OpenError>> {
+        let made = opening.poll()?;
+        Some(made.and_then(|(ready, encoder)| {
+            let updates = self.take_in(ready).map_err(OpenError::Device)?;
+            Ok((updates, Box::new(encoder) as Box<dyn PictureEncoder>))
+        }))
     }
 
     fn flight(&self, updates: &ViewerUpdates) -> Result<Flight, GpuError> {
@@ -168,10 +214,11 @@ impl Studio for GpuStudio<'_> {
         self.world.as_ref().map_or(Ok(false), |world| updates.rest(world, at_most))
     }
 
-    fn close(&mut self, updates: ViewerUpdates, has_failed: bool) {
+    fn close(&mut self, (updates, encoder): Opened<ViewerUpdates>, has_failed: bool) {
         self.looking -= 1;
         let Some(world) = &mut self.world else { return };
-        updates.leave(world);
+        let left = updates.leave(world);
+        self.backstage.leave(world.gpu(), left, encoder.end(), !has_failed);
         if has_failed {
             world.forget();
         }
@@ -196,12 +243,7 @@ impl Studio for GpuStudio<'_> {
     }
 
     fn encoder(&mut self, welcome: &Welcome) -> Result<Box<dyn Encoder>, EncodeError> {
-        let StreamOptions { quality, rate_hz, encoders, .. } = self.options;
-        let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, quality.first_qp(), *rate_hz);
-        match welcome.codec {
-            Codec::H264 => encoders.encoder(settings),
-            codec => encode::encoder(codec, settings),
-        }
+        encoder_of(self.options, welcome)()
     }
 
     fn steer(&mut self, wanted: Steering, now: ServerTime) {
@@ -213,6 +255,7 @@ impl Studio for GpuStudio<'_> {
 
     fn reopen(&mut self) -> anyhow::Result<()> {
         (self.world, self.looking, self.pipelines) = (None, 0, None);
+        self.backstage = Backstage::start()?;
         self.shade_rate = ShadeRate::default();
         if let Some(Device { scene, .. }) = self.device.take() {
             self.scene = Some(scene.scene.clone());

@@ -24,9 +24,14 @@ use std::sync::Arc;
 
 /// The stage with its output.
 pub(crate) struct Shading {
+    memory: ShadingMemory,
+    group: BindGroup,
+}
+
+/// The stage as it is in no world: any thread makes it.
+pub(crate) struct ShadingMemory {
     pass: RenderPass,
     pipeline: GraphicsPipeline,
-    group: BindGroup,
     target: Framebuffer,
     blocks: Buffer,
     count: u32,
@@ -43,13 +48,11 @@ fn fragment(filter: Filter) -> &'static Shader {
     }
 }
 
-impl Shading {
+impl ShadingMemory {
     /// For an atlas of this extent; textures are filtered as a measurement wants it, or as usual.
     pub(crate) fn new(
         gpu: &Arc<Gpu>,
         scene: &SceneGpu,
-        animation: &Animation,
-        shadow: &Shadow,
         extent: AtlasExtent,
         filter: Filter,
     ) -> Result<Self, GpuError> {
@@ -90,13 +93,24 @@ impl Shading {
         let bytes =
             u64::from(MAX_PATCH_SLOTS.min(scene.numbering.totals.patches)) * size_of::<BlockGpu>() as u64;
         let blocks = Buffer::new(gpu, "live blocks", bytes, Memory::Upload)?;
+        let target = Framebuffer::new(gpu, &pass, extent, &[atlas.view()])?;
+        Ok(Self { pass, pipeline, target, blocks, count: 0, atlas })
+    }
+
+    /// Comes into a world.
+    pub(crate) fn bind(
+        self,
+        scene: &SceneGpu,
+        animation: &Animation,
+        shadow: &Shadow,
+    ) -> Result<Shading, GpuError> {
         let textures = scene.materials.texture_binds();
         let [light, shadow_map] = shadow.binds();
         let [saved_vertices, boxes] = animation.position_binds();
         let group = BindGroup::new(
-            pipeline.layout(),
+            self.pipeline.layout(),
             &[
-                ("Blocks", Bind::Buffer(&blocks)),
+                ("Blocks", Bind::Buffer(&self.blocks)),
                 ("Patches", Bind::Buffer(&scene.meshes.patches)),
                 ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
                 saved_vertices,
@@ -108,8 +122,26 @@ impl Shading {
                 ("textures", Bind::Textures(&textures)),
             ],
         )?;
-        let target = Framebuffer::new(gpu, &pass, extent, &[atlas.view()])?;
-        Ok(Self { pass, pipeline, group, target, blocks, count: 0, atlas })
+        Ok(Shading { memory: self, group })
+    }
+
+    /// As it was when it was made: nothing of what was shaded is left.
+    pub(crate) fn wipe(&mut self, gpu: &Arc<Gpu>) -> Result<(), GpuError> {
+        self.blocks.bytes_mut().fill(0);
+        self.count = 0;
+        clear(gpu, &self.atlas)
+    }
+}
+
+impl Shading {
+    /// The atlas, as shaders read it.
+    pub(crate) fn atlas(&self) -> &Image {
+        &self.memory.atlas
+    }
+
+    /// Leaves the world. No submitted work still uses it.
+    pub(crate) fn unbind(self) -> ShadingMemory {
+        self.memory
     }
 
     /// Writes the list of blocks to shade, ascending by patch, with geometry as it is in `place`. No submitted work still reads the list.
@@ -120,8 +152,8 @@ impl Shading {
         place: RingPlace,
         due: impl Iterator<Item = (ScenePatch, Block)>,
     ) {
-        let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.blocks.bytes_mut());
-        self.count = 0;
+        let list: &mut [BlockGpu] = bytemuck::cast_slice_mut(self.memory.blocks.bytes_mut());
+        self.memory.count = 0;
         // Live patches come in ascending order: most are of the LOD of the one before.
         let mut now: Option<(usize, usize, PatchRange)> = None;
         for (patch, block) in due {
@@ -134,7 +166,7 @@ impl Shading {
             let bases = animation.position_base(number, place).zip(animation.tangent_base(number));
             // What had no room when it was skinned keeps the colours that it has.
             let Some((position_base, tangent_base)) = bases else { continue };
-            let Some(entry) = list.get_mut(self.count as usize) else { break };
+            let Some(entry) = list.get_mut(self.memory.count as usize) else { break };
             let model = &scene.models[scene.numbering.instances[number].model];
             *entry = BlockGpu {
                 patch_index: model.lods[lod].patch_base + range.model_number(patch),
@@ -146,7 +178,7 @@ impl Shading {
                 material_base: model.material_base,
                 instance: number as u32,
             };
-            self.count += 1;
+            self.memory.count += 1;
         }
     }
 
@@ -157,20 +189,21 @@ impl Shading {
         world_from_head: Pose,
         pixels_per_tangent: [f32; 2],
     ) {
-        if self.count == 0 {
+        let ShadingMemory { pass, pipeline, target, count, atlas, .. } = &self.memory;
+        if *count == 0 {
             return;
         }
-        let [width, height] = self.atlas.desc().extent;
+        let [width, height] = atlas.desc().extent;
         let push = ShadingPush {
             head_from_world: rows(Affine3A::from_mat4(world_from_head.inverse().matrix())),
             world_eye: world_from_head.position.extend(0.0).to_array(),
             atlas_extent_texels: [width as f32, height as f32],
             pixels_per_tangent,
         };
-        recorder.begin_pass(&self.pass, &self.target, &[]);
-        recorder.bind(&self.pipeline, &self.group);
-        recorder.push_constants(&self.pipeline, &push);
-        recorder.draw(4, self.count);
+        recorder.begin_pass(pass, target, &[]);
+        recorder.bind(pipeline, &self.group);
+        recorder.push_constants(pipeline, &push);
+        recorder.draw(4, *count);
         recorder.end_pass();
     }
 }

@@ -132,6 +132,21 @@ impl Ycbcr {
         })
     }
 
+    /// As it was when it was made: nothing of what was converted is left. No submitted work still uses it.
+    pub(crate) fn wipe(&mut self, gpu: &Arc<Gpu>) -> Result<(), GpuError> {
+        self.work.is_due.fill(true);
+        self.converted_texels = 0;
+        self.cell_extents.bytes_mut().fill(0);
+        self.groups.bytes_mut().fill(0);
+        let mut recorder = gpu.record()?;
+        let [on_device, read] = &self.coverage;
+        [&self.planes, &self.readback, on_device, read].into_iter().for_each(|b| recorder.fill(b, 0));
+        recorder.barrier(Access::COPY_WRITE, Access::COMPUTE_WRITE);
+        recorder.barrier(Access::COPY_WRITE, Access::COPY_WRITE);
+        recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
+        gpu.wait(recorder.submit()?)
+    }
+
     /// Blocks have changed since the last conversion; all of the atlas has before the first.
     pub(crate) fn note_changed(&mut self, blocks: impl Iterator<Item = Block>) {
         blocks.for_each(|block| self.work.add(block));

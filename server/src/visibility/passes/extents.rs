@@ -13,8 +13,13 @@ use std::sync::Arc;
 
 /// The stage with its output.
 pub struct Extents {
-    pipeline: ComputePipeline,
+    memory: ExtentsMemory,
     group: BindGroup,
+}
+
+/// The stage as it is in no world: any thread makes it.
+pub(crate) struct ExtentsMemory {
+    pipeline: ComputePipeline,
     /// What is visible, in any order, for the CPU, and how many there are.
     seen: Buffer,
     count: Buffer,
@@ -29,38 +34,24 @@ impl Extents {
         views: &Buffer,
         visible: &Buffer,
     ) -> Result<Self, GpuError> {
-        let pipeline = ComputePipeline::new(gpu, &EXTENTS_COMP)?;
-        let bytes = u64::from(scene.numbering.totals.in_lod_set) * size_of::<SeenGpu>() as u64;
-        let seen = Buffer::new(gpu, "what is visible", bytes, Memory::Readback)?;
-        let count = Buffer::new(gpu, "how much is visible", size_of::<u32>() as u64, Memory::Readback)?;
-        let [saved_vertices, boxes] = animation.position_binds();
-        let group = BindGroup::new(
-            pipeline.layout(),
-            &[
-                saved_vertices,
-                boxes,
-                ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
-                ("Views", Bind::Buffer(views)),
-                ("Patches", Bind::Buffer(&scene.meshes.patches)),
-                ("Materials", Bind::Buffer(&scene.materials.buffer)),
-                ("Visible", Bind::Buffer(visible)),
-                ("Seen", Bind::Buffer(&seen)),
-                ("SeenCount", Bind::Buffer(&count)),
-            ],
-        )?;
-        Ok(Self { pipeline, group, seen, count })
+        ExtentsMemory::new(gpu, scene)?.bind(scene, animation, views, visible)
+    }
+
+    /// Leaves the world.
+    pub(crate) fn unbind(self) -> ExtentsMemory {
+        self.memory
     }
 
     /// Nothing is visible: before [`Self::record`], with a barrier from the copy between them.
     pub fn record_start(&self, recorder: &mut Recorder) {
-        recorder.fill(&self.count, 0);
+        recorder.fill(&self.memory.count, 0);
     }
 
     /// What was visible, ascending by entry, into `seen`. What was recorded is done.
     pub fn read(&self, seen: &mut Vec<SeenGpu>) {
-        let count = self.count.values::<u32>()[0] as usize;
+        let count = self.memory.count.values::<u32>()[0] as usize;
         seen.clear();
-        seen.extend_from_slice(&self.seen.values()[..count]);
+        seen.extend_from_slice(&self.memory.seen.values()[..count]);
         seen.sort_unstable_by_key(|patch| patch.entry); // each is there once
     }
 
@@ -90,7 +81,43 @@ impl Extents {
                 material_base: model.material_base,
                 instance: lod.instance as u32,
             };
-            recorder.dispatch(&self.pipeline, &self.group, &push, [patch_count, 1, 1]);
+            recorder.dispatch(&self.memory.pipeline, &self.group, &push, [patch_count, 1, 1]);
         }
+    }
+}
+
+impl ExtentsMemory {
+    pub(crate) fn new(gpu: &Arc<Gpu>, scene: &SceneGpu) -> Result<Self, GpuError> {
+        let pipeline = ComputePipeline::new(gpu, &EXTENTS_COMP)?;
+        let bytes = u64::from(scene.numbering.totals.in_lod_set) * size_of::<SeenGpu>() as u64;
+        let seen = Buffer::new(gpu, "what is visible", bytes, Memory::Readback)?;
+        let count = Buffer::new(gpu, "how much is visible", size_of::<u32>() as u64, Memory::Readback)?;
+        Ok(Self { pipeline, seen, count })
+    }
+
+    /// Comes into a world. `views` is the uniform buffer of all predicted views, `visible` the marks.
+    pub(crate) fn bind(
+        self,
+        scene: &SceneGpu,
+        animation: &Animation,
+        views: &Buffer,
+        visible: &Buffer,
+    ) -> Result<Extents, GpuError> {
+        let [saved_vertices, boxes] = animation.position_binds();
+        let group = BindGroup::new(
+            self.pipeline.layout(),
+            &[
+                saved_vertices,
+                boxes,
+                ("Vertices", Bind::Buffer(&scene.meshes.vertices)),
+                ("Views", Bind::Buffer(views)),
+                ("Patches", Bind::Buffer(&scene.meshes.patches)),
+                ("Materials", Bind::Buffer(&scene.materials.buffer)),
+                ("Visible", Bind::Buffer(visible)),
+                ("Seen", Bind::Buffer(&self.seen)),
+                ("SeenCount", Bind::Buffer(&self.count)),
+            ],
+        )?;
+        Ok(Extents { memory: self, group })
     }
 }

@@ -73,12 +73,17 @@ pub struct Pass<'a> {
 
 /// The stage with its output; both eyes of one time at once.
 pub struct IdBuffer {
+    memory: IdBufferMemory,
+    group: BindGroup,
+}
+
+/// The stage as it is in no world: any thread makes it.
+pub(crate) struct IdBufferMemory {
     pass: RenderPass,
     geometry: Geometry,
-    group: BindGroup,
     target: Framebuffer,
     /// R32_UINT, two layers: entry of the patch from `FIRST_ID` on, 0 for background.
-    pub image: Image,
+    pub(crate) image: Image,
     _depth: Image,
 }
 
@@ -103,6 +108,67 @@ impl IdBuffer {
         extent: [u32; 2],
         numbers: TriangleNumbers,
     ) -> Result<Self, GpuError> {
+        IdBufferMemory::new(gpu, scene, extent, numbers)?.bind(scene, animation, views)
+    }
+
+    /// R32_UINT, two layers: entry of the patch from `FIRST_ID` on, 0 for background.
+    pub fn image(&self) -> &Image {
+        &self.memory.image
+    }
+
+    /// Leaves the world.
+    pub(crate) fn unbind(self) -> IdBufferMemory {
+        self.memory
+    }
+
+    /// Both views, whole.
+    pub fn whole(&self) -> Part {
+        Part { extent: self.image().desc().extent, first_alone: false }
+    }
+
+    /// Draws what is `lods`, as it is in `place`, into the two views from `first_view` on, or into that alone: of what stands still
+    /// no more than is in sight.
+    pub fn record(
+        &self,
+        recorder: &mut Recorder,
+        scene: &SceneGpu,
+        animation: &Animation,
+        Pass { lods, place, first_view, part, within }: Pass<'_>,
+    ) {
+        let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
+        let base = |number: usize| animation.position_base(number, place);
+        let lod_of = |number: usize| {
+            let at = lods.binary_search_by_key(&number, |lod| lod.instance).ok()?;
+            base(number).is_some().then_some(lods[at])
+        };
+        recorder.begin_pass_of(&self.memory.pass, &self.memory.target, &clears, part);
+        self.memory.geometry.record_runs(
+            recorder,
+            (&self.group, scene),
+            |number| lod_of(number).map(|lod| lod.lod),
+            |of, primitive| within.0.runs(of, primitive, within.1),
+            |draw| IdBufferPush {
+                vertex_base: draw.model.vertex_base,
+                position_base: base(draw.number).unwrap_or_default(),
+                triangle_base: (draw.lod.index_base + draw.first_index) / 3,
+                first_entry: lod_of(draw.number).map_or(0, |lod| lod.first_entry),
+                material: draw.model.material_base + draw.primitive.material,
+                first_view,
+                instance: draw.number as u32,
+            },
+        );
+        recorder.end_pass();
+    }
+}
+
+impl IdBufferMemory {
+    /// For views of `extent` pixels, with triangles numbered as said.
+    pub(crate) fn new(
+        gpu: &Arc<Gpu>,
+        scene: &SceneGpu,
+        extent: [u32; 2],
+        numbers: TriangleNumbers,
+    ) -> Result<Self, GpuError> {
         let (image, depth) = (id_image(gpu, extent)?, depth_image(gpu, extent, 2)?);
         let pass = RenderPass::new(
             gpu,
@@ -121,10 +187,21 @@ impl IdBuffer {
         )?;
         let [vertex, fragment] = numbers.shaders();
         let geometry = Geometry::new(gpu, scene, vertex, fragment, &pass)?;
+        let target = Framebuffer::new(gpu, &pass, extent, &[image.view(), depth.view()])?;
+        Ok(Self { pass, geometry, target, image, _depth: depth })
+    }
+
+    /// Comes into a world. `views` is the uniform buffer of all predicted views.
+    pub(crate) fn bind(
+        self,
+        scene: &SceneGpu,
+        animation: &Animation,
+        views: &Buffer,
+    ) -> Result<IdBuffer, GpuError> {
         let textures = scene.materials.texture_binds();
         let [saved_vertices, boxes] = animation.position_binds();
         let group = BindGroup::of(
-            geometry.layout(),
+            self.geometry.layout(),
             &[
                 saved_vertices,
                 boxes,
@@ -136,47 +213,7 @@ impl IdBuffer {
                 ("Indices", Bind::Buffer(&scene.meshes.indices)),
             ],
         )?;
-        let target = Framebuffer::new(gpu, &pass, extent, &[image.view(), depth.view()])?;
-        Ok(Self { pass, geometry, group, target, image, _depth: depth })
-    }
-
-    /// Both views, whole.
-    pub fn whole(&self) -> Part {
-        Part { extent: self.image.desc().extent, first_alone: false }
-    }
-
-    /// Draws what is `lods`, as it is in `place`, into the two views from `first_view` on, or into that alone: of what stands still
-    /// no more than is in sight.
-    pub fn record(
-        &self,
-        recorder: &mut Recorder,
-        scene: &SceneGpu,
-        animation: &Animation,
-        Pass { lods, place, first_view, part, within }: Pass<'_>,
-    ) {
-        let clears = [vk::ClearValue::default(), vk::ClearValue::default()]; // no patch; far, which is 0
-        let base = |number: usize| animation.position_base(number, place);
-        let lod_of = |number: usize| {
-            let at = lods.binary_search_by_key(&number, |lod| lod.instance).ok()?;
-            base(number).is_some().then_some(lods[at])
-        };
-        recorder.begin_pass_of(&self.pass, &self.target, &clears, part);
-        self.geometry.record_runs(
-            recorder,
-            (&self.group, scene),
-            |number| lod_of(number).map(|lod| lod.lod),
-            |of, primitive| within.0.runs(of, primitive, within.1),
-            |draw| IdBufferPush {
-                vertex_base: draw.model.vertex_base,
-                position_base: base(draw.number).unwrap_or_default(),
-                triangle_base: (draw.lod.index_base + draw.first_index) / 3,
-                first_entry: lod_of(draw.number).map_or(0, |lod| lod.first_entry),
-                material: draw.model.material_base + draw.primitive.material,
-                first_view,
-                instance: draw.number as u32,
-            },
-        );
-        recorder.end_pass();
+        Ok(IdBuffer { memory: self, group })
     }
 }
 

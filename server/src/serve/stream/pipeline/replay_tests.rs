@@ -123,11 +123,23 @@ impl PictureEncoder for SimulatedEncoder {
 
 impl Studio for SimulatedStudio {
     type Updates = SimulatedUpdates;
+    type Opening = Option<Opened<SimulatedUpdates>>;
 
-    fn open(&mut self, _: &Welcome, _: &Capabilities) -> Result<SimulatedUpdates, GpuError> {
+    fn open(
+        &mut self,
+        welcome: &Welcome,
+        _: &Capabilities,
+        pictures: Pictures,
+    ) -> Result<Self::Opening, OpenError> {
+        let encoder = self.start_encoder(welcome, pictures).expect("it is simulated");
         let viewer = self.opened;
         self.opened += 1;
-        Ok(SimulatedUpdates { viewer, next: 0, begun: Vec::new(), bench: self.bench.clone() })
+        let updates = SimulatedUpdates { viewer, next: 0, begun: Vec::new(), bench: self.bench.clone() };
+        Ok(Some((updates, encoder)))
+    }
+
+    fn opened(&mut self, opening: &mut Self::Opening) -> Option<Result<Opened<SimulatedUpdates>, OpenError>> {
+        opening.take().map(Ok)
     }
 
     fn flight(&self, updates: &SimulatedUpdates) -> Result<Flight, GpuError> {
@@ -168,7 +180,7 @@ impl Studio for SimulatedStudio {
         Ok(true)
     }
 
-    fn close(&mut self, _: SimulatedUpdates, has_failed: bool) {
+    fn close(&mut self, _: Opened<SimulatedUpdates>, has_failed: bool) {
         assert!(!has_failed);
     }
 
@@ -185,9 +197,7 @@ impl Studio for SimulatedStudio {
     fn start_encoder(
         &mut self,
         _: &Welcome,
-        _: Arc<dyn Outlet>,
-        peer: PeerId,
-        _: Row,
+        Pictures { peer, .. }: Pictures,
     ) -> anyhow::Result<Box<dyn PictureEncoder>> {
         Ok(Box::new(SimulatedEncoder { viewer: peer.0, bench: self.bench.clone(), job: None }))
     }

@@ -105,6 +105,8 @@ struct Script {
     updates: Rc<RefCell<VecDeque<Option<Act>>>>,
     reopens: Rc<RefCell<VecDeque<Option<Act>>>>,
     encodes: Arc<Mutex<VecDeque<Option<Act>>>>,
+    /// What newcomers need is being made as long as this is set.
+    is_making: Rc<Cell<bool>>,
     made: Rc<RefCell<u32>>,
     updates_made: Rc<RefCell<u32>>,
     lets_go: Arc<AtomicBool>,
@@ -144,12 +146,27 @@ struct FakeStudio(Script);
 
 impl Studio for FakeStudio {
     type Updates = FakeUpdates;
+    type Opening = FakeOpening;
 
-    fn open(&mut self, _: &Welcome, _: &Capabilities) -> Result<FakeUpdates, GpuError> {
+    fn open(
+        &mut self,
+        welcome: &Welcome,
+        _: &Capabilities,
+        pictures: Pictures,
+    ) -> Result<FakeOpening, OpenError> {
+        let encoder = self.start_encoder(welcome, pictures).expect("it has threads");
         *self.0.made.borrow_mut() += 1;
-        act(&self.0.makes)?;
+        act(&self.0.makes).map_err(OpenError::Device)?;
+        let updates = FakeUpdates { client: *self.0.made.borrow(), ..FakeUpdates::default() };
+        Ok(Some((updates, encoder)))
+    }
+
+    fn opened(&mut self, opening: &mut FakeOpening) -> Option<Result<Opened<FakeUpdates>, OpenError>> {
+        if self.0.is_making.get() {
+            return None;
+        }
         *self.0.open.borrow_mut() += 1;
-        Ok(FakeUpdates { client: *self.0.made.borrow(), ..FakeUpdates::default() })
+        Some(Ok(opening.take().expect("once")))
     }
 
     /// The device comes further whenever it is looked at.
@@ -220,7 +237,7 @@ impl Studio for FakeStudio {
         Ok(false)
     }
 
-    fn close(&mut self, updates: FakeUpdates, has_failed: bool) {
+    fn close(&mut self, (updates, _): Opened<FakeUpdates>, has_failed: bool) {
         *self.0.left.borrow_mut() += updates.in_flight();
         *self.0.broken.borrow_mut() += u32::from(has_failed);
         *self.0.open.borrow_mut() -= 1;
@@ -246,6 +263,8 @@ impl Studio for FakeStudio {
         Ok(act(&self.0.reopens)?)
     }
 }
+
+type FakeOpening = Option<Opened<FakeUpdates>>;
 
 #[derive(Default)]
 struct FakeUpdates {
@@ -561,6 +580,62 @@ fn of_300_clients_that_come_and_go_one_pipeline_is_made() {
     assert!(bench.run(|recorder| pictures(recorder) >= 1).0.is_ok());
     assert_eq!(*bench.script.made.borrow(), 1);
     assert_eq!(bench.outlet.deltas.lock().expect("whole")[0].0, PeerId(299));
+}
+
+#[test]
+fn while_a_newcomer_waits_others_get_their_updates_and_what_it_tells_is_not_lost() {
+    let bench = Bench::new();
+    bench.comes(1);
+    let of = |recorder: &Recorder, peer| {
+        let deltas = recorder.deltas.lock().expect("whole");
+        deltas.iter().filter(|(to, _)| *to == PeerId(peer)).count()
+    };
+    let (mut told, mut before) = (0, 0);
+    let (ended, stats) = bench.run(|recorder| {
+        let first = of(recorder, 1);
+        match told {
+            0 if pictures(recorder) >= 2 => {
+                bench.script.is_making.set(true);
+                bench.comes(2);
+                bench.mailbox.reported(PeerId(2), ServerEvent::Steer(Steer::Halt.into()));
+                (told, before) = (1, first);
+            }
+            1 if first >= before + 5 => {
+                bench.mailbox.reported(PeerId(2), ServerEvent::Steer(Steer::Step.into()));
+                told = 2;
+            }
+            2 if first >= before + 10 => {
+                assert_eq!((of(recorder, 2), bench.script.steered.borrow().len()), (0, 0));
+                bench.script.is_making.set(false);
+                told = 3;
+            }
+            _ => {}
+        }
+        of(recorder, 2) > 0
+    });
+    assert!(ended.is_ok() && stats.viewers.len() == 2);
+    let wanted = Steering::from(Steer::Halt).then(Steer::Step.into());
+    assert_eq!(*bench.script.steered.borrow(), [wanted], "what it told while it waited, in order");
+}
+
+#[test]
+fn a_newcomer_that_goes_while_it_waits_is_never_served() {
+    let bench = Bench::new();
+    bench.script.is_making.set(true);
+    bench.comes(1);
+    let mut looks = 0;
+    let (ended, stats) = bench.run(|recorder| {
+        looks += 1;
+        if looks == 20 {
+            bench.mailbox.gone(PeerId(1));
+            bench.comes(2);
+            bench.script.is_making.set(false);
+        }
+        pictures(recorder) >= 3
+    });
+    assert!(ended.is_ok() && stats.clients == 2 && stats.viewers.len() == 1);
+    assert_eq!((*bench.script.made.borrow(), *bench.script.open.borrow()), (2, 0));
+    assert!(bench.outlet.deltas.lock().expect("whole").iter().all(|(peer, _)| *peer == PeerId(2)));
 }
 
 #[test]
