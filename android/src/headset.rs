@@ -80,6 +80,7 @@ fn run(
     let options = RunOptions {
         server: settings.server().into(),
         fingerprint: settings.fingerprint,
+        asks_first: settings.asks_first(),
         pipelines: Some(data_folder.clone()),
         identity_dir: data_folder,
         forgetting: Some(FORGETTING),

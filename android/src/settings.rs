@@ -82,6 +82,8 @@ pub enum Foveation {
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Settings {
     server: Option<String>,
+    /// The intent has named the server or its identity, which any app could have sent.
+    is_of_intent: bool,
     /// The only identity that the server may have.
     pub fingerprint: Option<Fingerprint>,
     /// Frames a second that the headset is asked for.
@@ -149,6 +151,8 @@ impl Settings {
                 errors.push(SettingsError::Extra { key: *key, wrong });
             }
         }
+        let names_server = of_extras.server.as_deref().is_some_and(|server| server != DEFAULT_SERVER);
+        of_extras.is_of_intent = names_server || of_extras.fingerprint.is_some();
         let of_file = Self::parse(file, &mut errors);
         (of_extras.or(of_file), errors)
     }
@@ -156,6 +160,11 @@ impl Settings {
     /// The server to connect to, as `HOST:PORT`, or `find`.
     pub fn server(&self) -> &str {
         self.server.as_deref().unwrap_or(DEFAULT_SERVER)
+    }
+
+    /// Whether the user is to agree before an unknown server is dialled. The user's own file needs no such question.
+    pub fn asks_first(&self) -> bool {
+        self.is_of_intent
     }
 
     /// The file's: empty lines, `#` comments, at most one `HOST:PORT`, or `find`, and `name = value`.
@@ -215,6 +224,7 @@ impl Settings {
     fn or(self, other: Self) -> Self {
         Self {
             server: self.server.or(other.server),
+            is_of_intent: self.is_of_intent || other.is_of_intent,
             fingerprint: self.fingerprint.or(other.fingerprint),
             refresh_hz: self.refresh_hz.or(other.refresh_hz),
             foveation: self.foveation.or(other.foveation),
@@ -328,6 +338,7 @@ mod tests {
             of_file(&format!("find\nrefresh = 90\nfoveation=high\nfingerprint = {id}\n"));
         let expected = Settings {
             server: Some("find".into()),
+            is_of_intent: false,
             fingerprint: id.parse().ok(),
             refresh_hz: Some(90.0),
             foveation: Some(Foveation::High),
@@ -368,6 +379,19 @@ mod tests {
         let (settings, errors) = Settings::gather(&extras, file);
         assert_eq!((settings.server(), settings.refresh_hz), ("192.168.1.5:7400", Some(90.0)));
         assert_eq!((settings.foveation, errors), (Some(Foveation::None), vec![]), "the file adds to them");
+    }
+
+    #[test]
+    fn a_server_or_identity_of_the_intent_is_asked_about_and_those_of_the_file_are_not() {
+        let id = "ab".repeat(32);
+        let asks = |extras: &[(Key, &str)], file: &str| {
+            let extras: Vec<_> = extras.iter().map(|(key, text)| (*key, (*text).to_owned())).collect();
+            Settings::gather(&extras, file.as_bytes()).0.asks_first()
+        };
+        assert!(asks(&[(Key::Server, "192.168.1.5:7400")], "192.168.1.5:7400"));
+        assert!(asks(&[(Key::Fingerprint, &id)], "192.168.1.5:7400"));
+        assert!(!asks(&[], &format!("192.168.1.5:7400\nfingerprint = {id}")));
+        assert!(!asks(&[(Key::Server, "find"), (Key::Refresh, "90")], "desktop:7400"));
     }
 
     #[test]

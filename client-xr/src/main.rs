@@ -213,6 +213,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
     let options = RunOptions {
         server: arguments.connect.as_str().into(),
         fingerprint: arguments.fingerprint,
+        asks_first: false,
         identity_dir,
         forgetting: None,
         notice: None,

@@ -1,6 +1,7 @@
 //! The connection to one server: messages between the client and the lines, and messages for the user.
 
 use super::address::{Address, Resolver};
+use super::consent::{Consent, question};
 use super::finder::Finder;
 use super::heard::{Choice, Heard, Wish};
 use super::lines::{LineEvent, Lines};
@@ -104,6 +105,8 @@ pub(super) struct Connector {
     trust: Trust,
     /// The only identity that will do, if the user named one.
     required: Option<Fingerprint>,
+    /// The user's, where another app has named the server.
+    consent: Consent,
     /// As the user writes it, or as it calls itself.
     server: String,
     naming: Naming,
@@ -233,6 +236,7 @@ impl Connector {
             known,
             trust: Trust::default(),
             required: options.fingerprint,
+            consent: Consent::new(options.asks_first),
             server,
             naming,
             search,
@@ -249,6 +253,9 @@ impl Connector {
     }
 
     fn status(&self) -> String {
+        if self.consent.is_lacking() {
+            return question(&self.server);
+        }
         if self.search.is_wanted && self.search.found.is_none() {
             return "Searching for servers on this network".to_owned();
         }
@@ -270,6 +277,9 @@ impl Connector {
         while let Some(round) = self.search.finder.as_ref().and_then(Finder::poll) {
             self.take_round(listener, round);
         }
+        if self.lacks_consent(listener) {
+            return;
+        }
         self.take_presses(listener);
         if self.trust.is_asking() {
             return; // nobody is dialled before the user has said whether it may be
@@ -280,6 +290,22 @@ impl Connector {
         if let Some(event) = self.lines.dial(monotonic_now(), whom) {
             self.take(listener, event);
         }
+    }
+
+    /// Whether nobody may be dialled, since another app has named the server and the user has not agreed.
+    fn lacks_consent(&mut self, listener: &mut impl Listener) -> bool {
+        let is_pinned = |address: &SocketAddr| {
+            matches!(self.known.expected(&self.server, *address), ExpectedIdentity::Pinned { .. })
+        };
+        let addresses = &self.naming.addresses;
+        let is_known = match self.required {
+            Some(required) => self.known.knows(required),
+            None => !addresses.is_empty() && addresses.iter().all(is_pinned),
+        };
+        if self.consent.is_given(is_known, listener.presses()) {
+            listener.set_status(&for_headset(&self.with_notice(&self.status())));
+        }
+        self.consent.is_lacking()
     }
 
     /// Turns to where the server's name leads, or says that it leads nowhere.

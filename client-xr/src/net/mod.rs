@@ -7,6 +7,7 @@
 
 mod address;
 mod connector;
+mod consent;
 mod dialler;
 mod finder;
 mod heard;
@@ -86,6 +87,8 @@ pub struct RunOptions {
     pub server: Server,
     /// The only identity that the server may have; `None`: the one that is known, or any at the first meeting.
     pub fingerprint: Option<Fingerprint>,
+    /// Another app has named the server, or its identity: an unknown one is dialled once the user agrees.
+    pub asks_first: bool,
     /// Where the fingerprints of known servers are kept.
     pub identity_dir: PathBuf,
     /// What makes this client forget the servers that it knows, where its user cannot edit their list: a part of a sentence.
@@ -290,6 +293,7 @@ mod tests {
         let options = RunOptions {
             server: "nonsense".into(),
             fingerprint: None,
+            asks_first: false,
             identity_dir: PathBuf::new(),
             forgetting: None,
             notice: None,

@@ -57,6 +57,7 @@ fn options(folder: &TempDir, server: &str) -> RunOptions {
     RunOptions {
         server: server.into(),
         fingerprint: None,
+        asks_first: false,
         identity_dir: folder.path().to_owned(),
         forgetting: None,
         notice: None,
@@ -118,6 +119,30 @@ fn demanded_precedes_known_precedes_announced() {
     known.remember("desk", address, pinned).expect("pinned");
     assert_eq!(whom(&known, None, Some(announced)), Some(pinned), "nobody takes a name by announcing it");
     assert_eq!(whom(&known, Some(asked), Some(announced)), Some(asked));
+}
+
+#[test]
+fn a_server_that_another_app_names_is_dialled_once_it_is_known_or_the_user_agrees() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let (address, _, _server) = mute_server(77);
+    let asking = RunOptions { asks_first: true, ..options(&folder, &address.to_string()) };
+    let (mut stranger, mut headset) = (connector(&asking), Headset::default());
+    assert!(stranger.first_status().contains("Another app asks to connect to 127.0.0.1"));
+    (0..40).for_each(|_| {
+        stranger.seek(&mut headset);
+        std::thread::sleep(Duration::from_millis(5));
+    });
+    assert!(!headset.is_connected && stranger.lines.live().is_none(), "{:?}", headset.said);
+    headset.presses.takes += 1;
+    seek_until(&mut stranger, &mut headset, |headset| headset.is_connected);
+    assert!(headset.said[0].contains("Connecting to"), "{:?}", headset.said);
+    let (mut known, mut headset) = (connector(&asking), Headset::default());
+    seek_until(&mut known, &mut headset, |headset| headset.is_connected);
+    // With a key of that app's choice even a known address is a stranger's.
+    let other = RunOptions { fingerprint: Some(key(9)), ..asking };
+    let (mut other, mut headset) = (connector(&other), Headset::default());
+    (0..40).for_each(|_| other.seek(&mut headset));
+    assert!(other.consent.is_lacking());
 }
 
 #[test]
