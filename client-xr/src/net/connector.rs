@@ -1,7 +1,7 @@
 //! The connection to one server: messages between the client and the lines, and messages for the user.
 
 use super::address::{Address, Resolver};
-use super::consent::{Consent, question};
+use super::consent::{self, Consent};
 use super::finder::Finder;
 use super::heard::{Choice, Heard, Wish};
 use super::lines::{LineEvent, Lines};
@@ -254,7 +254,7 @@ impl Connector {
 
     fn status(&self) -> String {
         if self.consent.is_lacking() {
-            return question(&self.server);
+            return consent::question(&self.server);
         }
         if self.search.is_wanted && self.search.found.is_none() {
             return "Searching for servers on this network".to_owned();

@@ -78,10 +78,11 @@ impl Reported {
 
     /// Takes in what was told after it.
     pub(crate) fn then(&mut self, later: Self) {
-        let Self { head, displayed, refresh, watching, steering } = later;
+        let Self { head, displayed, refresh, watching, steering, away } = later;
         head.into_iter().for_each(|head| self.head = Some(head));
         self.refresh |= refresh;
         watching.into_iter().for_each(|is_watched| self.watching = Some(is_watched));
+        away.into_iter().for_each(|is_away| self.away = Some(is_away));
         if let Some(report) = displayed {
             let earlier = self.displayed.take();
             self.displayed = Some(earlier.map_or(report, |earlier| earlier.merged(report)));
