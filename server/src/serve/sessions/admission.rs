@@ -75,6 +75,8 @@ impl Outcome {
 /// See the module.
 pub struct Admission {
     admit: Admit,
+    /// What those may do who come in without being known.
+    strangers: Rights,
     own: Fingerprint,
     register: Box<dyn Register>,
     desk: Desk,
@@ -83,21 +85,22 @@ pub struct Admission {
 impl Admission {
     /// Everybody is admitted, and may do everything: for a server whose clients are all its own.
     pub(super) fn open() -> Self {
-        Self::new(Admit::Anyone, Fingerprint([0; 32]), Box::new(Nobody))
+        let strangers = Rights::ALL;
+        Self { strangers, ..Self::new(Admit::Anyone, Fingerprint([0; 32]), Box::new(Nobody)) }
     }
 
     /// A server whose own key is `own`.
     pub fn new(admit: Admit, own: Fingerprint, register: Box<dyn Register>) -> Self {
-        Self { admit, own, register, desk: Desk::new() }
+        Self { admit, strangers: Rights::LOOK, own, register, desk: Desk::new() }
     }
 
-    /// What a client may do; `None` where it is to be paired first. Strangers may look, where they may come in.
+    /// What a client may do; `None` where it is to be paired first.
     pub(super) fn rights(&mut self, caller: &Caller) -> Option<Rights> {
         let is_local = caller.remote.ip().to_canonical().is_loopback();
         let known = caller.fingerprint.and_then(|fingerprint| self.register.rights(fingerprint));
         match self.admit {
             Admit::Paired | Admit::Anyone if is_local => Some(known.unwrap_or(Rights::ALL)),
-            Admit::Anyone => Some(known.unwrap_or(Rights::LOOK)),
+            Admit::Anyone => Some(known.unwrap_or(self.strangers)),
             Admit::Paired | Admit::PairedOnly => known,
         }
     }
