@@ -113,10 +113,20 @@ impl PendingFile {
     pub fn commit_new(self) -> io::Result<bool> {
         self.file.sync_all()?;
         let Some((beside, place)) = &self.moves else { return Ok(false) };
-        match fs::hard_link(beside, place) {
-            Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
-            linked => linked.map(|()| true),
+        is_new(fs::hard_link(beside, place), beside, place)
+    }
+}
+
+/// Whether what lies beside is at its place now, by what linking it there has given. Android lets no app make links: there the file
+/// is moved, and one program alone has the folder.
+fn is_new(linked: io::Result<()>, beside: &Path, place: &Path) -> io::Result<bool> {
+    match linked {
+        Ok(()) => Ok(true),
+        Err(error) if error.kind() == io::ErrorKind::AlreadyExists => Ok(false),
+        Err(error) if error.kind() == io::ErrorKind::PermissionDenied && !place.try_exists()? => {
+            fs::rename(beside, place).map_err(|_| error).map(|()| true)
         }
+        Err(error) => Err(error),
     }
 }
 
@@ -148,6 +158,18 @@ impl Seek for PendingFile {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn where_no_links_may_be_made_a_new_file_is_moved_and_an_old_one_stays() {
+        let dir = tempfile::tempdir().expect("a folder");
+        let [beside, place] = ["beside", "place"].map(|name| dir.path().join(name));
+        let denied = || Err(io::Error::from(io::ErrorKind::PermissionDenied));
+        fs::write(&beside, "first").expect("written");
+        assert!(is_new(denied(), &beside, &place).expect("moved"));
+        fs::write(&beside, "second").expect("written");
+        assert!(is_new(denied(), &beside, &place).is_err());
+        assert_eq!(fs::read(&place).expect("it stays"), b"first");
+    }
 
     fn names(directory: &Path) -> Vec<String> {
         let mut names: Vec<_> = fs::read_dir(directory)

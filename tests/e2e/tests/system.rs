@@ -360,9 +360,9 @@ fn after_three_silent_seconds_no_clock_jumps() {
     let table = motion_table(&kinds, &format!("{link},outage=3s"), 5.2, out.path());
     let samples = &table.rows[0];
     let until_silence = &motion_table(&kinds, link, 1.9, out.path()).rows[0];
-    // Either connection by itself is sent about as much.
+    // Before and after it about as much is sent.
     assert!(2 * samples.motion_bytes > 3 * until_silence.motion_bytes, "those of both: {samples:?}");
-    assert_eq!(samples.connections, 2, "the silent one was given up: {samples:?}");
+    assert_eq!(samples.connections, 1, "it outlives the silence: {samples:?}");
     assert!(samples.frozen_vertex_frames > samples.vertex_frames / 4, "samples end: {samples:?}");
     assert!(samples.worst.as_ref().is_some_and(|worst| worst.error_mm > 100.0), "{samples:?}");
     assert!(samples.max_clock_step_ms <= 0.1 + 1e-9, "{samples:?}");

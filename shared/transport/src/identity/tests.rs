@@ -41,6 +41,7 @@ fn a_client_has_a_key_of_its_own_beside_a_server() {
     assert_ne!(seeded[0], seeded[1], "a seed is no way from the one to the other");
 }
 
+#[cfg(unix)]
 fn client_of_seed(seed: u64) -> Fingerprint {
     ClientIdentity::from_seed(seed).unwrap().fingerprint()
 }
