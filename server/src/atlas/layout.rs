@@ -45,6 +45,8 @@ pub struct Layout {
     asked: f32,
     /// The part of what a block is to have that it has at first.
     new_part: f32,
+    /// Texels at most of the blocks that grow with an update, when it is their turn.
+    most_grown_texels: u64,
     /// Of those, the part that blocks are to have.
     pressure: Pressure<DensityStep>,
     /// Part of the atlas that blocks take when all have had their turn.
@@ -120,6 +122,7 @@ impl Layout {
             around: Vec::new(),
             asked: 1.0,
             new_part: 1.0,
+            most_grown_texels: u64::MAX,
             pressure: Pressure::new(DensityStep(1.0)),
             settled_share: 0.0,
             overflow_share: 1.0,
@@ -152,6 +155,11 @@ impl Layout {
     /// New blocks begin with this part of the texels for a pixel that are asked for, 0 to 1; then each waits for its turn.
     pub(crate) fn begin_blocks_with(&mut self, part: f32) {
         self.new_part = part;
+    }
+
+    /// Blocks that grow when it is their turn have so many texels with an update at most, or are one.
+    pub(crate) fn grow_by(&mut self, most_texels: u64) {
+        self.most_grown_texels = most_texels;
     }
 
     /// Takes in what this update's views show; of several visibility passes the last counts.
@@ -293,7 +301,7 @@ impl Layout {
         let turns = self.turns();
         let (mut chosen, mut sizes) =
             (std::mem::take(&mut self.scratch.chosen), std::mem::take(&mut self.scratch.sizes));
-        let are_all = have_their_turn(&turns, &mut chosen);
+        let are_all = have_their_turn(&turns, self.most_grown_texels, &mut chosen);
         let has_turn = |turn: &Turn| chosen.binary_search_by_key(&turn.patch, |turn| turn.patch).is_ok();
         sizes.clear();
         sizes.extend(turns.iter().map(|turn| if has_turn(turn) { turn.after } else { turn.before }));

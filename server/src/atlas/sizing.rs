@@ -119,8 +119,9 @@ fn sides(size: BlockSize, of: impl Fn(u8, &dyn Fn(BlockSize) -> u8) -> u8) -> Bl
 }
 
 /// `chosen` becomes those of all that wait for their turn that have it with this update, ascending; gives whether these are all: so
-/// many that no more than 4 % change, who gives up texels before who gets some, and the nearest first.
-pub(crate) fn have_their_turn(turns: &[Turn], chosen: &mut Vec<Turn>) -> bool {
+/// many that no more than 4 % change, who gives up texels before who gets some, and the nearest first. Those that grow have no more
+/// than `most_grown_texels` together, or are one.
+pub(crate) fn have_their_turn(turns: &[Turn], most_grown_texels: u64, chosen: &mut Vec<Turn>) -> bool {
     chosen.clear();
     chosen.extend(turns.iter().filter(|turn| turn.now.is_some() && turn.before != turn.after));
     let by_themselves = turns.iter().filter(|turn| turn.changes_by_itself()).count();
@@ -128,6 +129,13 @@ pub(crate) fn have_their_turn(turns: &[Turn], chosen: &mut Vec<Turn>) -> bool {
     let most = most.max(least_turns(turns.len()));
     let grows = |turn: &Turn| turn.after.texels() > turn.before.texels();
     chosen.sort_unstable_by_key(|turn| (grows(turn), std::cmp::Reverse(turn.area_texels), turn.patch));
+    let mut grown_texels = 0;
+    let fits = |turn: &&Turn| {
+        let is_first = grown_texels == 0;
+        grown_texels += if grows(turn) { u64::from(turn.after.texels()) } else { 0 };
+        is_first || grown_texels <= most_grown_texels
+    };
+    let most = chosen.iter().take(most).take_while(fits).count();
     let are_all = chosen.len() <= most;
     chosen.truncate(most);
     chosen.sort_unstable_by_key(|turn| turn.patch);
@@ -184,10 +192,10 @@ mod tests {
         let new = shape(None).turn(ScenePatch(3), 1.0, 0.5);
         assert_eq!((new.before, new.after), (size(25.0), size(50.0)));
         let mut chosen = Vec::new();
-        assert!(have_their_turn(&[new], &mut chosen) && chosen.is_empty(), "not at once");
+        assert!(have_their_turn(&[new], u64::MAX, &mut chosen) && chosen.is_empty(), "not at once");
         let next = shape(Some((new.before, 0.5))).turn(ScenePatch(3), 1.0, 0.5);
         assert_eq!((next.before, next.after), (size(25.0), size(50.0)));
-        assert!(have_their_turn(&[next], &mut chosen) && chosen == [next]);
+        assert!(have_their_turn(&[next], u64::MAX, &mut chosen) && chosen == [next]);
     }
 
     #[test]
@@ -212,12 +220,26 @@ mod tests {
             .collect();
         let chosen = |turns: &[Turn]| {
             let mut chosen = Vec::new();
-            let are_all = have_their_turn(turns, &mut chosen);
+            let are_all = have_their_turn(turns, u64::MAX, &mut chosen);
             (chosen.iter().map(|turn| turn.patch.0).collect::<Vec<_>>(), are_all)
         };
         assert_eq!(chosen(&all), (vec![0, 1, 2, 55], false));
         let mut changing = all.clone();
         changing[90..].iter_mut().for_each(|turn| turn.now = Some(size(200.0)));
         assert_eq!(chosen(&changing).0, [0], "others change by themselves");
+    }
+
+    #[test]
+    fn blocks_that_grow_have_few_texels_together_or_are_one() {
+        let gives_up = Turn { patch: ScenePatch(0), ..turn(20, 4.0, 2.0) };
+        let grows = (1..100u16).map(|patch| Turn { patch: ScenePatch(patch.into()), ..turn(20, 1.0, 2.0) });
+        let all: Vec<Turn> = std::iter::once(gives_up).chain(grows).collect();
+        let each = u64::from(all[1].after.texels());
+        for (most_texels, count) in [(0, 1), (each, 1), (2 * each, 2), (3 * each - 1, 2), (u64::MAX, 3)] {
+            let mut chosen = Vec::new();
+            assert!(!have_their_turn(&all, most_texels, &mut chosen), "{most_texels}");
+            let grown = chosen.iter().filter(|turn| turn.patch != gives_up.patch).count();
+            assert_eq!((chosen[0], grown), (gives_up, count), "{most_texels}");
+        }
     }
 }

@@ -99,6 +99,12 @@ impl PlacementStep {
         self.spare = spare;
     }
 
+    /// Texels that an update may shade from now on, beside new blocks. On a slow device, blocks that grow have no more than these:
+    /// a large one is as many texels as thousands of small ones.
+    pub(crate) fn set_shading_budget(&mut self, texels: u64) {
+        self.layout.grow_by(if self.measures.are_some() { texels } else { u64::MAX });
+    }
+
     /// What updates do without from now on.
     pub(crate) fn set_measures(&mut self, measures: Measures) {
         self.measures = measures;

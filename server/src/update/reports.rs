@@ -71,6 +71,7 @@ impl ViewerUpdates {
 
     /// How many texels an update may shade from now on, beside those of new blocks.
     pub fn set_shading_budget(&mut self, texels: u64) {
+        self.placement.set_shading_budget(texels);
         self.shading.set_budget(texels);
     }
 
