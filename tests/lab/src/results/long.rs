@@ -214,6 +214,7 @@ fn jobs() -> Vec<Job> {
             extent_pixels: [512, 512],
             seconds: SLOW_SECONDS,
             stages: SLOW_STAGES,
+            surround: DEFAULT_SURROUND,
             ..RunOptions::new(SceneSource::Dragons(3), folder.join("run"))
         };
         let found = slow::measure(&options, "dragons:3", &SLOWER)?;
