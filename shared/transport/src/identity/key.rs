@@ -7,6 +7,7 @@ use shadecast_system::{PendingFile, owner};
 use std::fmt;
 use std::fs;
 use std::io::Write;
+use std::marker::PhantomData;
 use std::path::Path;
 use std::str::FromStr;
 
@@ -58,71 +59,99 @@ impl FromStr for Fingerprint {
     }
 }
 
-/// A key pair and the self-signed certificate that carries it.
-struct Own {
+/// Two sides of one machine have a key each: whoever holds the one cannot pass for the other.
+pub trait Side: sealed::Sealed {
+    /// File of the private key inside the identity folder.
+    const KEY_FILE: &str;
+    /// For people who read the certificate; nothing depends on it.
+    const COMMON_NAME: &str;
+    /// Keeps the keys of equal seeds apart.
+    const PURPOSE: u64;
+}
+
+mod sealed {
+    pub trait Sealed {}
+    impl Sealed for super::Server {}
+    impl Sealed for super::Client {}
+}
+
+/// The side that serves.
+#[derive(Debug)]
+pub struct Server;
+
+/// The side that connects.
+#[derive(Debug)]
+pub struct Client;
+
+impl Side for Server {
+    const KEY_FILE: &str = KEY_FILE;
+    const COMMON_NAME: &str = "Shadecast server";
+    const PURPOSE: u64 = 0x1d;
+}
+
+impl Side for Client {
+    const KEY_FILE: &str = CLIENT_KEY_FILE;
+    const COMMON_NAME: &str = "Shadecast client";
+    const PURPOSE: u64 = 0x1e;
+}
+
+/// The key pair of a side and the self-signed certificate that carries it.
+pub struct Identity<S> {
     key: rcgen::KeyPair,
     certificate: CertificateDer<'static>,
     fingerprint: Fingerprint,
+    side: PhantomData<S>,
 }
 
-/// Two sides of one machine have a key each: whoever holds the one cannot pass for the other.
-#[derive(Clone, Copy)]
-enum Side {
-    Server,
-    Client,
-}
+/// A server's.
+pub type ServerIdentity = Identity<Server>;
 
-impl Side {
-    /// File of the private key inside the identity folder.
-    fn file(self) -> &'static str {
-        match self {
-            Self::Server => KEY_FILE,
-            Self::Client => CLIENT_KEY_FILE,
-        }
-    }
+/// A client's.
+pub type ClientIdentity = Identity<Client>;
 
-    /// For people who read the certificate; nothing depends on it.
-    fn common_name(self) -> &'static str {
-        match self {
-            Self::Server => "Shadecast server",
-            Self::Client => "Shadecast client",
-        }
-    }
-
-    /// Keeps the keys of equal seeds apart.
-    fn purpose(self) -> u64 {
-        match self {
-            Self::Server => 0x1d,
-            Self::Client => 0x1e,
-        }
+impl<S: Side> fmt::Debug for Identity<S> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "Identity({}, {})", S::COMMON_NAME, self.fingerprint)
     }
 }
 
-impl Own {
-    fn generate(side: Side) -> Result<Self, IdentityError> {
+impl<S: Side> Identity<S> {
+    /// A new identity from the system's random numbers, kept nowhere: a stranger everywhere.
+    ///
+    /// # Errors
+    /// The system gives no random numbers.
+    pub fn generate() -> Result<Self, IdentityError> {
         let key = rcgen::KeyPair::generate_for(&rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?, side)
+        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?)
     }
 
-    fn from_seed(seed: u64, side: Side) -> Result<Self, IdentityError> {
+    /// The identity that belongs to `seed`: for tests and virtual time, never for a server that others reach.
+    ///
+    /// # Errors
+    /// No certificate can be made of it.
+    pub fn from_seed(seed: u64) -> Result<Self, IdentityError> {
         let mut der = ED25519_PKCS8_PREFIX.to_vec();
-        der.extend(rng::bytes32(seed, side.purpose()));
+        der.extend(rng::bytes32(seed, S::PURPOSE));
         let der = PrivatePkcs8KeyDer::from(der);
         let key = rcgen::KeyPair::from_pkcs8_der_and_sign_algo(&der, &rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?, side)
+        Self::from_key(key.map_err(|e| IdentityError::Generate(e.to_string()))?)
     }
 
-    fn load_or_create(directory: &Path, side: Side) -> Result<Self, IdentityError> {
-        let path = directory.join(side.file());
+    /// Reads the identity in `directory`, or makes one there at the first start (a key file that is its owner's alone).
+    ///
+    /// # Errors
+    /// The file cannot be read or written, is open to others, or is no key.
+    pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
+        let path = directory.join(S::KEY_FILE);
         if !path.exists() {
             create_private_directory(directory)?;
-            let fresh = Self::generate(side)?;
+            let fresh = Self::generate()?;
             write_new_key(&path, &fresh.key.serialize_pem())?;
         }
-        Self::load(&path, side)
+        Self::load(&path)
     }
 
-    fn load(path: &Path, side: Side) -> Result<Self, IdentityError> {
+    fn load(path: &Path) -> Result<Self, IdentityError> {
         let metadata = fs::metadata(path).map_err(file_error("reading", path))?;
         check_is_file(&metadata, path)?;
         if let Some(mode) = owner::open_to_others(&metadata) {
@@ -132,128 +161,43 @@ impl Own {
         let bytes = fs::read(path).map_err(file_error("reading", path))?;
         let pem = String::from_utf8(bytes).map_err(|e| wrong(e.to_string()))?;
         let key = rcgen::KeyPair::from_pkcs8_pem_and_sign_algo(&pem, &rcgen::PKCS_ED25519);
-        Self::from_key(key.map_err(|e| wrong(e.to_string()))?, side)
+        Self::from_key(key.map_err(|e| wrong(e.to_string()))?)
     }
 
-    fn from_key(key: rcgen::KeyPair, side: Side) -> Result<Self, IdentityError> {
+    fn from_key(key: rcgen::KeyPair) -> Result<Self, IdentityError> {
         let generate = |e: rcgen::Error| IdentityError::Generate(e.to_string());
         let mut params =
             rcgen::CertificateParams::new(vec![tls::SERVER_NAME.to_owned()]).map_err(generate)?;
         params.distinguished_name = rcgen::DistinguishedName::new();
-        params.distinguished_name.push(rcgen::DnType::CommonName, side.common_name());
+        params.distinguished_name.push(rcgen::DnType::CommonName, S::COMMON_NAME);
         // A fixed serial number: one derived from the key would change the certificate's length from key to key.
         params.serial_number = Some(rcgen::SerialNumber::from_slice(&[1]));
         let certificate = params.self_signed(&key).map_err(generate)?.der().clone();
         let fingerprint = Fingerprint::of_public_key(&rcgen::PublicKeyData::subject_public_key_info(&key));
-        Ok(Self { key, certificate, fingerprint })
+        Ok(Self { key, certificate, fingerprint, side: PhantomData })
     }
 
-    fn private_key(&self) -> PrivateKeyDer<'static> {
+    /// SHA-256 of the public key: what the other side pins.
+    pub fn fingerprint(&self) -> Fingerprint {
+        self.fingerprint
+    }
+
+    pub(crate) fn certificate(&self) -> CertificateDer<'static> {
+        self.certificate.clone()
+    }
+
+    pub(crate) fn private_key(&self) -> PrivateKeyDer<'static> {
         PrivatePkcs8KeyDer::from(self.key.serialize_der()).into()
     }
 }
 
-/// A server's key pair and the self-signed certificate that carries it.
-pub struct ServerIdentity(Own);
-
-/// A client's key pair and the self-signed certificate that carries it.
-pub struct ClientIdentity(Own);
-
-impl fmt::Debug for ServerIdentity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ServerIdentity({})", self.fingerprint())
-    }
-}
-
-impl fmt::Debug for ClientIdentity {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "ClientIdentity({})", self.fingerprint())
-    }
-}
-
 impl ServerIdentity {
-    /// A new identity from the system's random numbers, kept nowhere.
-    ///
-    /// # Errors
-    /// The system gives no random numbers.
-    pub fn generate() -> Result<Self, IdentityError> {
-        Own::generate(Side::Server).map(Self)
-    }
-
-    /// The identity that belongs to `seed`: for tests and virtual time, never for a server that others reach.
-    ///
-    /// # Errors
-    /// No certificate can be made of it.
-    pub fn from_seed(seed: u64) -> Result<Self, IdentityError> {
-        Own::from_seed(seed, Side::Server).map(Self)
-    }
-
-    /// Reads the identity in `directory`, or makes one there at the first start (a key file that is its owner's alone).
-    ///
-    /// # Errors
-    /// The file cannot be read or written, is open to others, or is no key.
-    pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
-        Own::load_or_create(directory, Side::Server).map(Self)
-    }
-
-    /// SHA-256 of the public key: what clients pin.
-    pub fn fingerprint(&self) -> Fingerprint {
-        self.0.fingerprint
-    }
-
-    pub(crate) fn certificate(&self) -> CertificateDer<'static> {
-        self.0.certificate.clone()
-    }
-
-    pub(crate) fn private_key(&self) -> PrivateKeyDer<'static> {
-        self.0.private_key()
-    }
-
     /// A key for `purpose` that only the owner of this identity can compute, the same after each restart.
     pub(crate) fn derived_key(&self, purpose: &str) -> [u8; 32] {
-        let key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, self.0.key.serialized_der());
+        let key = ring::hmac::Key::new(ring::hmac::HMAC_SHA256, self.key.serialized_der());
         let mut out = [0; 32];
         out.copy_from_slice(ring::hmac::sign(&key, purpose.as_bytes()).as_ref());
         out
-    }
-}
-
-impl ClientIdentity {
-    /// A new identity from the system's random numbers, kept nowhere: a stranger everywhere.
-    ///
-    /// # Errors
-    /// The system gives no random numbers.
-    pub fn generate() -> Result<Self, IdentityError> {
-        Own::generate(Side::Client).map(Self)
-    }
-
-    /// The identity that belongs to `seed`: for tests and virtual time.
-    ///
-    /// # Errors
-    /// No certificate can be made of it.
-    pub fn from_seed(seed: u64) -> Result<Self, IdentityError> {
-        Own::from_seed(seed, Side::Client).map(Self)
-    }
-
-    /// Reads the identity in `directory`, or makes one there at the first start (a key file that is its owner's alone).
-    ///
-    /// # Errors
-    /// The file cannot be read or written, is open to others, or is no key.
-    pub fn load_or_create(directory: &Path) -> Result<Self, IdentityError> {
-        Own::load_or_create(directory, Side::Client).map(Self)
-    }
-
-    /// SHA-256 of the public key: what servers pin.
-    pub fn fingerprint(&self) -> Fingerprint {
-        self.0.fingerprint
-    }
-
-    pub(crate) fn certificate(&self) -> CertificateDer<'static> {
-        self.0.certificate.clone()
-    }
-
-    pub(crate) fn private_key(&self) -> PrivateKeyDer<'static> {
-        self.0.private_key()
     }
 }
 
