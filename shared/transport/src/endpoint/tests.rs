@@ -148,6 +148,42 @@ fn messages_of_all_sizes_arrive_whole_both_ways() {
     }
 }
 
+/// Bytes of UDP payload that each side sends in one packet, after a second and a stream of that size each way.
+fn packet_bytes(connected: &mut Connected, stream_bytes: usize) -> [u16; 2] {
+    let Connected { pair, on_server, on_client } = connected;
+    pair.server.send_stream(*on_server, pattern(stream_bytes, 1), 0).unwrap();
+    pair.client.send_control(*on_client, &[1]).unwrap();
+    pair.step_until(pair.now_ns() + S);
+    [pair.server.stats(*on_server), pair.client.stats(*on_client)].map(|stats| stats.unwrap().mtu_bytes)
+}
+
+/// The search ends within 20 bytes of the largest packet that passes.
+#[test]
+fn each_side_finds_the_largest_packet_that_passes() {
+    for (link, largest) in
+        [("none", 1452), ("latency=20ms,mtu=1400", 1400), (&format!("{HOME},mtu=1280"), 1280)]
+    {
+        let found = packet_bytes(&mut connected(link, 1), 1000);
+        assert!(found.iter().all(|bytes| (largest - 20..=largest).contains(bytes)), "{link}: {found:?}");
+    }
+}
+
+#[test]
+fn a_way_that_carries_smaller_packets_from_now_on_stalls_nothing() {
+    let mut connected = connected("latency=5ms", 1);
+    assert!(packet_bytes(&mut connected, 1000)[0] > 1400);
+    events(&mut connected.pair.client);
+    connected.pair.set_link("latency=5ms,mtu=1280".parse::<LinkProfile>().unwrap(), 2);
+    let mut arrived = 0;
+    for _ in 0..10 {
+        assert!(packet_bytes(&mut connected, 100_000)[1] > 0);
+        let seen = events(&mut connected.pair.client);
+        arrived += seen.iter().filter(|event| matches!(event, Event::Stream { .. })).count();
+    }
+    let on_server = connected.pair.server.stats(connected.on_server).unwrap().mtu_bytes;
+    assert!(arrived == 10 && on_server <= 1280, "{arrived} of 10 streams, packets of {on_server} bytes");
+}
+
 /// All control messages, in order.
 fn check_control(events: &[Event], sizes: &[usize], context: &str) {
     let control: Vec<usize> = events
