@@ -407,6 +407,7 @@ impl Connector {
             return;
         }
         self.trust.forget_question();
+        self.consent.use_up(); // it was for another one
         self.report(listener, Tone::News, &format!("Found {}", described(&found)));
         self.server.clone_from(&found.name);
         self.lines = Lines::new(&self.identity, found.addresses.clone());
@@ -532,7 +533,12 @@ impl Connector {
 
     /// Whether the server that would serve us is trusted. Otherwise the user is asked, and the connection is not used.
     fn may_use(&mut self, listener: &mut impl Listener, now: ClientTime) -> bool {
+        let is_agreed = self.consent.use_up();
         if self.trust.is_trusted(&self.known, self.required) {
+            return true;
+        }
+        if let Some(met) = self.trust.whom().filter(|_| is_agreed) {
+            self.pin(&met);
             return true;
         }
         if let Some(met) = self.trust.ask(listener.presses().takes) {

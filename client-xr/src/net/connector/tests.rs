@@ -317,6 +317,35 @@ fn a_stranger_is_not_pinned_by_answering() {
 }
 
 #[test]
+fn agreeing_to_a_named_server_takes_the_one_that_answers() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let asking = RunOptions { asks_first: true, ..options(&folder, "192.168.1.5:7400") };
+    let (mut connector, mut headset) = (connector(&asking), Headset::default());
+    assert!(connector.lacks_consent(&mut headset));
+    headset.presses.takes += 1;
+    assert!(!connector.lacks_consent(&mut headset));
+    connector.meet(met(1));
+    assert!(!known_in(&folder).knows(key(1)), "answering is not serving");
+    assert!(connector.may_use(&mut headset, NOW) && !connector.trust.is_asking(), "{:?}", headset.said);
+    assert!(known_in(&folder).knows(key(1)));
+    connector.meet(met(2));
+    assert!(!connector.may_use(&mut headset, NOW), "one server");
+}
+
+#[test]
+fn agreeing_to_a_named_server_takes_none_of_the_list() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let asking = RunOptions { asks_first: true, ..options(&folder, "192.168.1.5:7400") };
+    let (mut connector, mut headset) = (connector(&asking), Headset::default());
+    connector.lacks_consent(&mut headset);
+    headset.presses.takes += 1;
+    connector.lacks_consent(&mut headset);
+    connector.turn_to(&mut headset, server("attic", 2));
+    connector.meet(met(1));
+    assert!(!connector.may_use(&mut headset, NOW) && connector.trust.is_asking());
+}
+
+#[test]
 fn a_server_that_was_named_by_its_key_or_runs_here_is_pinned_at_once() {
     let folder = tempfile::tempdir().expect("a folder");
     let named = RunOptions { fingerprint: Some(key(1)), ..options(&folder, "192.168.1.5:7400") };
