@@ -6,6 +6,8 @@
 //! record-traffic` makes them anew.
 
 pub mod client_session;
+#[cfg(feature = "decoder")]
+pub mod decoder;
 pub mod deltas;
 pub mod framing;
 pub mod messages;

@@ -97,6 +97,12 @@ fn recorded_pictures_are_decoded() {
     assert_reaches("pictures", shadecast_fuzz::pictures::check, 4);
 }
 
+#[cfg(feature = "decoder")]
+#[test]
+fn coded_pictures_are_decoded_on_the_cpu() {
+    assert_reaches("decoder", shadecast_fuzz::decoder::check, 10);
+}
+
 #[test]
 fn devices_are_paired_between_guesses() {
     assert_reaches("pairing", shadecast_fuzz::pairing::check, 3);

@@ -6,10 +6,13 @@ use crate::hostile::process::Server;
 use crate::hostile::scene;
 use anyhow::{Context, ensure};
 use shadecast_fuzz::script::put_step;
-use shadecast_fuzz::{client_session, deltas, messages, pictures, server_session};
+use shadecast_fuzz::{client_session, decoder, deltas, messages, pictures, server_session};
 use shadecast_protocol::limits::MAX_DATAGRAM_BYTES;
 use shadecast_protocol::message::{ClientDatagram, ServerMessage};
+use shadecast_protocol::picture::I420;
 use shadecast_protocol::wire::{StreamMessage, encode_picture, frame_control, parse_stream};
+use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use shadecast_server::encode::{Encoder, Source, encode_one};
 use std::path::Path;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -22,6 +25,8 @@ const PICTURES: usize = 12;
 const DATAGRAMS: usize = 24;
 /// Of an access unit this much is kept where nobody decodes it.
 const UNIT_HEAD: usize = 48;
+/// Extent of the pictures for the decoder: several blocks in each direction.
+const CODED_EXTENT_TEXELS: [u32; 2] = [96, 64];
 
 /// Serves a small scene for a moment, and writes a seed for each target into its folder under `out`.
 ///
@@ -70,6 +75,7 @@ fn seeds(traffic: &[Recorded]) -> anyhow::Result<Vec<(&'static str, Vec<u8>)>> {
         ("framing", of_framing(traffic)),
         ("sps", access_units(traffic).next().context("no picture was recorded")?),
         ("pictures", of_pictures(traffic)),
+        ("decoder", coded_pictures()?),
     ])
 }
 
@@ -214,4 +220,34 @@ fn of_pictures(traffic: &[Recorded]) -> Vec<u8> {
     put_step(&mut script, pictures::GIVEN_UP, &4_u32.to_le_bytes());
     put_step(&mut script, pictures::WAIT, &700_000_u64.to_le_bytes());
     script
+}
+
+/// Pictures of the embedded encoder: a pattern that moves, with a piece that changes at once, fine and coarse, and refreshes.
+fn coded_pictures() -> anyhow::Result<Vec<u8>> {
+    let mut encoder = OpenH264Encoder::new(EncoderSettings::new(CODED_EXTENT_TEXELS))?;
+    let mut script = Vec::new();
+    for (number, qp) in [26, 26, 38, 38, 20, 44, 30, 30, 51, 34, 24, 24].into_iter().enumerate() {
+        encoder.set_qp(qp)?;
+        let source = Source::Planes(moving_pattern(number as u32)?);
+        let unit = encode_one(&mut encoder, source, number as i64 * 16_666_667, number == 7)?;
+        put_step(&mut script, decoder::UNIT, &unit.bytes);
+    }
+    Ok(script)
+}
+
+/// Stripes of all slopes that move by 1 texel right and 2 down per picture, and a square of another pattern in each picture.
+fn moving_pattern(number: u32) -> anyhow::Result<I420> {
+    let [width, height] = CODED_EXTENT_TEXELS;
+    let mut bytes = Vec::new();
+    for (scale, width, height) in [(1, width, height), (2, width / 2, height / 2), (3, width / 2, height / 2)]
+    {
+        bytes.extend((0..width * height).map(|at| {
+            let (x, y) = (at % width + 256 - number, at / width + 256 - 2 * number);
+            let in_square = (at % width) / 16 == number % (width / 16) && (at / width) / 16 == 1;
+            let pattern =
+                if in_square { x * y * 5 } else { x * x / 40 * scale + y * 3 + (x / 24 + y / 20) * 60 };
+            (pattern % 256) as u8
+        }));
+    }
+    I420::new(CODED_EXTENT_TEXELS, bytes).context("making a pattern")
 }
