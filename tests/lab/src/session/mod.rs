@@ -40,6 +40,7 @@ use shadecast_protocol::pose::{Eye, Fov, Pose};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::{ClientTime, DEFAULT_GRID, ServerTime, WorldTime};
 use shadecast_scene::Scene;
+use shadecast_scene::cache::Cache;
 use shadecast_scene::load::load_scene_with;
 use shadecast_scene::process::Loading;
 use shadecast_scene::suggest::did_you_mean_or_list;
@@ -132,6 +133,15 @@ pub struct Lab {
     _trace: Option<Trace>,
 }
 
+/// Names a folder where prepared scenes are kept from run to run. Without it each run prepares its own.
+const CACHE_VARIABLE: &str = "SHADECAST_LAB_CACHE";
+
+fn loading() -> Loading {
+    let folder = std::env::var_os(CACHE_VARIABLE).filter(|folder| !folder.is_empty());
+    let cache = folder.map_or_else(Cache::disabled, Cache::new);
+    Loading { cache, ..Loading::plain() }
+}
+
 /// Turns of the runtime without a frame that are taken for a start-up or a rest, one display period each; more are a runtime
 /// that never starts.
 const MAX_IDLE_TURNS: u32 = 100_000;
@@ -140,7 +150,7 @@ impl Server {
     /// Opens the server's device and loads the scene.
     pub fn new(options: &RunOptions) -> anyhow::Result<Self> {
         let lods = options.detail_pixels > 0.0;
-        let mut scene = load_scene_with(&options.scene, &Loading { lods, ..Loading::plain() })?;
+        let mut scene = load_scene_with(&options.scene, &Loading { lods, ..loading() })?;
         if let Some(clip) = &options.clip {
             play_clip(&mut scene, clip)?;
         }
@@ -158,7 +168,7 @@ impl Server {
             device_name: options.device.clone(),
         };
         let gpu = Gpu::open(&gpu_options, &DesktopDevice)?;
-        let scene = Arc::new(SceneGpu::new(&gpu, scene, &options.scene_options)?);
+        let scene = Arc::new(SceneGpu::cached(&gpu, scene, &options.scene_options, &loading())?);
         let stages = options.medium().stages;
         let usual = offer(&scene, options.atlas_extent_texels, options.rate_hz, 0);
         let terms = ServerOffer { codecs: options.medium().codecs.to_vec(), ..usual };
