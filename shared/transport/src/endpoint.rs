@@ -79,6 +79,7 @@ use crate::inbox::Inbox;
 use crate::peer::{Peer, PeerLimits, Violation};
 use crate::rng;
 pub use crate::silence::AWAY_AFTER;
+use crate::transmit::Transmit;
 
 /// A peer from which nothing was heard for this long, and a moment more, is given up.
 pub const IDLE_TIMEOUT: Duration = Duration::from_secs(60);
@@ -136,6 +137,8 @@ pub struct EndpointConfig {
     pub control_per_s: u32,
     /// Datagrams a second, and at once after a pause, that are taken from a peer. Ten times as many end its connection.
     pub datagrams_per_s: u32,
+    /// A server's packets leave twice on a path that loses some and carries more than is sent.
+    pub repeats: bool,
 }
 
 impl Default for EndpointConfig {
@@ -147,29 +150,8 @@ impl Default for EndpointConfig {
             max_stream_bytes: MAX_STREAM_BYTES,
             control_per_s: MAX_CONTROL_PER_SECOND,
             datagrams_per_s: MAX_DATAGRAMS_PER_SECOND,
+            repeats: true,
         }
-    }
-}
-
-/// One or more datagrams to be sent to one address.
-#[derive(Clone, Debug)]
-pub struct Transmit {
-    /// Where to.
-    pub to: SocketAddr,
-    /// From which of the machine's addresses, where that matters.
-    pub from_ip: Option<IpAddr>,
-    /// The payload of the datagrams, one after the other.
-    pub bytes: Vec<u8>,
-    /// Size of each datagram but the last, bytes; `None` for a single datagram.
-    pub segment_size: Option<usize>,
-    /// Congestion mark for the IP header, as the two bits of RFC 3168.
-    pub ecn: Option<u8>,
-}
-
-impl Transmit {
-    /// The payload of each datagram.
-    pub fn datagrams(&self) -> impl Iterator<Item = &[u8]> {
-        self.bytes.chunks(self.segment_size.unwrap_or(self.bytes.len()).max(1))
     }
 }
 
@@ -188,6 +170,8 @@ pub struct PeerStats {
     pub sent_packets: u64,
     /// Packets taken for lost and sent again where they mattered.
     pub lost_packets: u64,
+    /// UDP payload that was sent a second time because the path loses packets, bytes; not in `sent_bytes`.
+    pub repeated_bytes: u64,
     /// What may be under way, bytes.
     pub window_bytes: u64,
     /// Largest UDP payload that the path is known to carry, bytes.
@@ -710,7 +694,9 @@ impl Endpoint {
         let in_use = self.peers.values().filter(|peer| peer.is_in_use());
         let silence_ns = in_use.map(|peer| peer.silence.next_ns()).min();
         let next = self.peers.values_mut().filter_map(|peer| peer.conn.poll_timeout()).min();
-        next.map(|at| self.clock.ns(at)).into_iter().chain(deadline_ns).chain(silence_ns).min()
+        let repeat_ns = self.peers.values().filter_map(|peer| peer.repeats.next_ns()).min();
+        let others_ns = deadline_ns.into_iter().chain(silence_ns).chain(repeat_ns);
+        next.map(|at| self.clock.ns(at)).into_iter().chain(others_ns).min()
     }
 
     /// The next thing to be sent.
@@ -718,6 +704,9 @@ impl Endpoint {
         self.last_now_ns = now_ns;
         if let Some(response) = self.responses.pop_front() {
             return Some(response);
+        }
+        if let Some(repeat) = self.next_repeat(now_ns) {
+            return Some(repeat);
         }
         let now = self.clock.instant(now_ns);
         let mut bytes = std::mem::take(&mut self.spare);
@@ -743,12 +732,32 @@ impl Endpoint {
             if let Some(transmit) = transmit {
                 self.next_turn = PeerId(id.0 + 1);
                 bytes.truncate(transmit.size);
-                return Some(to_transmit(&transmit, bytes));
+                let transmit = to_transmit(&transmit, bytes);
+                if !is_question {
+                    self.may_repeat(now_ns, id, &transmit);
+                }
+                return Some(transmit);
             }
             self.forget_oldest_draining();
         }
         self.spare = bytes;
         None
+    }
+
+    /// The next copy that is due.
+    fn next_repeat(&mut self, now_ns: i64) -> Option<Transmit> {
+        self.peers.values_mut().find_map(|peer| peer.repeats.take_due(now_ns))
+    }
+
+    /// Has packets of a server leave again where their path loses some.
+    fn may_repeat(&mut self, now_ns: i64, id: PeerId, transmit: &Transmit) {
+        let may_repeat = self.config.repeats && self.is_server;
+        let Some(peer) = self.peers.get_mut(&id).filter(|peer| may_repeat && peer.is_in_use()) else {
+            return;
+        };
+        let path = peer.conn.stats().path;
+        peer.repeats.note(now_ns, transmit.to, [path.sent_packets, path.lost_packets]);
+        peer.repeats.sent(now_ns, transmit, peer.target.bytes_s().map(|bytes_s| bytes_s as f64));
     }
 
     /// Whose turn it is of those that may have something to send.
@@ -992,6 +1001,7 @@ impl Endpoint {
             received_bytes: stats.udp_rx.bytes,
             sent_packets: stats.path.sent_packets,
             lost_packets: stats.path.lost_packets,
+            repeated_bytes: peer.repeats.repeated_bytes(),
             window_bytes: congestion.congestion_window,
             mtu_bytes: stats.path.current_mtu,
             queued_bytes: peer.queued_bytes() as u64,

@@ -19,13 +19,15 @@ pub mod mio;
 mod outbox;
 pub mod pair;
 mod peer;
+mod repeats;
 mod rng;
 mod silence;
 mod target;
 mod train;
+mod transmit;
 
 pub use arrivals::{Network, crowded};
-pub use endpoint::{Congestion, Counters, Endpoint, EndpointConfig, PeerStats, Transmit, random_bytes};
+pub use endpoint::{Congestion, Counters, Endpoint, EndpointConfig, PeerStats, random_bytes};
 pub use event::{Binding, CloseKind, Event, PeerId, SendError, StreamId};
 pub use identity::tls::{SERVER_NAME, believing_client_crypto};
 pub use identity::{
@@ -35,3 +37,4 @@ pub use identity::{
 pub use link::{Direction, Link, LinkError, LinkProfile, LinkSchedule};
 pub use mio::{Driver, Events, Handle, SocketTrial, spawn, try_socket};
 pub use pair::Pair;
+pub use transmit::Transmit;

@@ -20,12 +20,13 @@ use ::mio::{Interest, Poll, Token, Waker};
 use bytes::BytesMut;
 use quinn_udp::{RecvMeta, UdpSockRef, UdpSocketState};
 
-use crate::endpoint::{Counters, Endpoint, IdSource, PeerStats, Transmit};
+use crate::endpoint::{Counters, Endpoint, IdSource, PeerStats};
 use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::ExpectedIdentity;
 use crate::inbox::{Inbox, Next};
 use crate::link::{Direction, Link, LinkCounts, LinkSchedule};
 use crate::outbox::{Command, Outbox};
+use crate::transmit::Transmit;
 use shadecast_protocol::close::CloseCode;
 use shadecast_system::monotonic_now_ns;
 
@@ -44,6 +45,8 @@ const MAX_WAIT: Duration = Duration::from_millis(100);
 /// Errors of the socket, one after the other, after which it is opened anew, and the least time between two openings, nanoseconds.
 const MANY_FAILURES: u32 = 16;
 const REOPEN_NS: i64 = 1_000_000_000;
+/// The poll waits at least this long while the socket takes no more, nanoseconds.
+const PENDING_WAIT_NS: i64 = 1_000_000;
 /// How long a stopping thread tries to tell its peers.
 const FAREWELL: Duration = Duration::from_millis(200);
 
@@ -253,7 +256,9 @@ impl Driver {
         match self.endpoint.poll_timeout().into_iter().chain(link).min() {
             None => max_wait,
             Some(at_ns) => {
-                let ns = (at_ns - monotonic_now_ns()).max(0);
+                // Copies that are due cannot leave while something is pending; the socket tells when it can.
+                let least_ns = if self.pending.is_some() { PENDING_WAIT_NS } else { 0 };
+                let ns = (at_ns - monotonic_now_ns()).max(least_ns);
                 max_wait.min(Duration::from_nanos(ns as u64))
             }
         }

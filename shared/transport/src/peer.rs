@@ -17,6 +17,7 @@ use crate::allowance::Allowance;
 use crate::congestion::TargetRate;
 use crate::event::{Event, PeerId, SendError, StreamId};
 use crate::identity::tls::PinVerifier;
+use crate::repeats::Repeats;
 use crate::silence::Silence;
 
 /// Bytes of messages and streams that wait for the network to take them, per peer.
@@ -81,6 +82,8 @@ pub(crate) struct Peer {
     pub(crate) closed: bool,
     /// Whether the path to it carries anything.
     pub(crate) silence: Silence,
+    /// Packets to it that leave twice.
+    pub(crate) repeats: Repeats,
     limits: PeerLimits,
     control: Option<proto::StreamId>,
     control_allowance: Allowance,
@@ -121,6 +124,7 @@ impl Peer {
             since_ns: now_ns,
             closed: false,
             silence: Silence::new(now_ns),
+            repeats: Repeats::default(),
             limits,
             control: None,
             control_allowance: allowance(limits.control_per_s),

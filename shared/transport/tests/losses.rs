@@ -1,0 +1,143 @@
+//! How late updates are that must be taken in order, on paths that lose packets, in virtual time.
+
+use shadecast_transport::pair::SERVER_ADDR;
+use shadecast_transport::{
+    Direction, Endpoint, EndpointConfig, Event, ExpectedIdentity, LinkProfile, Pair, PeerId, ServerIdentity,
+};
+use std::collections::BTreeMap;
+
+const MS: i64 = 1_000_000;
+const S: i64 = 1_000 * MS;
+/// From one update to the next, and bytes of its delta and its picture.
+const PERIOD_NS: i64 = 33_333_333;
+const UPDATE_BYTES: [usize; 2] = [3_000, 12_000];
+/// Until then the connection has learnt what the path loses.
+const SETTLED_NS: i64 = 3 * S;
+
+/// Updates over a link.
+struct Play {
+    pair: Pair,
+    peer: PeerId,
+    /// When the update of each number left.
+    sent_ns: Vec<i64>,
+    /// Of these, the parts that have come.
+    came: BTreeMap<usize, usize>,
+    /// Of each update in order: how long after it left it could be shown, nanoseconds.
+    late_ns: Vec<i64>,
+    /// The longest time without another update, nanoseconds, from [`SETTLED_NS`] on.
+    pause_ns: i64,
+    shown_ns: i64,
+}
+
+impl Play {
+    fn new(link: &str, repeats: bool, seed: u64) -> Self {
+        let config = |salt| EndpointConfig { seed: Some(seed ^ salt), repeats, ..EndpointConfig::default() };
+        let server = Endpoint::server(&ServerIdentity::from_seed(seed).unwrap(), config(1 << 20)).unwrap();
+        let link: LinkProfile = link.parse().unwrap();
+        let mut pair = Pair::new(server, Endpoint::client(config(2 << 20)), link, seed);
+        pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+        let mut peer = None;
+        while peer.is_none() {
+            peer = pair.step_to_events(5 * S).into_iter().find_map(|(end, event)| match (end, event) {
+                (Direction::ToServer, Event::Connected { peer, .. }) => Some(peer),
+                _ => None,
+            });
+        }
+        Self {
+            pair,
+            peer: peer.unwrap(),
+            sent_ns: Vec::new(),
+            came: BTreeMap::new(),
+            late_ns: Vec::new(),
+            pause_ns: 0,
+            shown_ns: SETTLED_NS,
+        }
+    }
+
+    fn until(mut self, until_ns: i64) -> Self {
+        while self.pair.now_ns() < until_ns {
+            for bytes in UPDATE_BYTES {
+                let mut stream = vec![0; bytes];
+                stream[..8].copy_from_slice(&(self.sent_ns.len() as u64).to_le_bytes());
+                self.pair.server.send_stream(self.peer, stream, 0).unwrap();
+            }
+            self.sent_ns.push(self.pair.now_ns());
+            let due_ns = self.pair.now_ns() + PERIOD_NS;
+            while self.pair.now_ns() < due_ns {
+                for (_, event) in self.pair.step_to_events(due_ns) {
+                    self.take(&event);
+                }
+            }
+        }
+        self
+    }
+
+    fn take(&mut self, event: &Event) {
+        let Event::Stream { bytes, .. } = event else { return };
+        let number = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
+        *self.came.entry(number).or_default() += 1;
+        let now_ns = self.pair.now_ns();
+        while self.came.get(&self.late_ns.len()) == Some(&UPDATE_BYTES.len()) {
+            let sent_ns = self.sent_ns[self.late_ns.len()];
+            self.late_ns.push(now_ns - sent_ns);
+            if now_ns > SETTLED_NS {
+                self.pause_ns = self.pause_ns.max(now_ns - self.shown_ns);
+                self.shown_ns = now_ns;
+            }
+        }
+    }
+
+    /// Median and most of the lateness from [`SETTLED_NS`] on, and the longest pause, milliseconds.
+    fn row(&self) -> [i64; 3] {
+        let settled = self.sent_ns.iter().position(|at_ns| *at_ns >= SETTLED_NS).unwrap();
+        let mut late_ns = self.late_ns[settled..].to_vec();
+        late_ns.sort_unstable();
+        [late_ns[late_ns.len() / 2], late_ns[late_ns.len() - 1], self.pause_ns].map(|ns| ns / MS)
+    }
+}
+
+fn link(latency_ms: i64, loss_percent: u32) -> String {
+    format!("latency={latency_ms}ms,loss={loss_percent}%,rate=100mbit")
+}
+
+#[test]
+fn a_lost_packet_makes_no_update_late_by_more_than_a_round_trip() {
+    for latency_ms in [5, 20, 50, 110, 200] {
+        for loss_percent in [1, 5] {
+            for seed in 0..3 {
+                let play = Play::new(&link(latency_ms, loss_percent), true, seed).until(20 * S);
+                let [_, most_ms, pause_ms] = play.row();
+                let case = format!("{latency_ms} ms, {loss_percent} %, seed {seed}: {:?}", play.row());
+                assert!(most_ms <= 3 * latency_ms + 80, "{case}");
+                assert!(pause_ms <= 2 * latency_ms + 120, "{case}");
+            }
+        }
+    }
+}
+
+#[test]
+fn most_updates_are_not_late_at_all() {
+    for loss_percent in [1, 5] {
+        let row = |repeats| Play::new(&link(110, loss_percent), repeats, 5).until(20 * S).row();
+        let ([median_ms, ..], [once_ms, ..]) = (row(true), row(false));
+        assert!(median_ms <= 110 + 20, "{median_ms} ms");
+        assert!(once_ms > median_ms, "without copies {once_ms} ms");
+    }
+}
+
+#[test]
+fn a_path_without_loss_has_everything_once() {
+    let play = Play::new(&link(20, 0), true, 1).until(10 * S);
+    assert_eq!(play.pair.server.stats(play.peer).unwrap().repeated_bytes, 0);
+}
+
+#[test]
+fn copies_take_no_room_from_updates() {
+    let slow = "latency=20ms,loss=3%,rate=5mbit";
+    let play = |repeats| Play::new(slow, repeats, 3).until(20 * S);
+    let (twice, once) = (play(true), play(false));
+    let [with_ms, without_ms] = [&twice, &once].map(|play| play.row()[0]);
+    assert!(with_ms <= without_ms + 10, "{with_ms} ms, without copies {without_ms} ms");
+    let stats = twice.pair.server.stats(twice.peer).unwrap();
+    assert!(stats.repeated_bytes < stats.sent_bytes / 3, "{stats:?}");
+}
