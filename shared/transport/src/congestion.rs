@@ -58,6 +58,8 @@ const MOST_DRAINED_PART: f64 = 0.6;
 const LOADED_RTT_LIFETIME: Duration = Duration::from_secs(5);
 /// How long a shortest round trip counts before it is measured anew.
 const MIN_RTT_LIFETIME: Duration = Duration::from_secs(10);
+/// A shortest round trip that has become longer by this has a queue in it.
+const STANDING_QUEUE: Duration = Duration::from_millis(10);
 /// Share of lost bytes above which loss counts as congestion: radio links lose up to 5 %, in bursts.
 const CONGESTION_LOSS: f64 = 0.12;
 /// Bytes acknowledged or lost over which the share of loss is taken.
@@ -336,12 +338,13 @@ impl Steady {
     fn note_rtt(&mut self, now: Instant, rtt: Duration) {
         let expired = self.min_rtt_at.is_some_and(|at| now.saturating_duration_since(at) > MIN_RTT_LIFETIME);
         self.round_min_rtt = Some(self.round_min_rtt.map_or(rtt, |min| min.min(rtt)));
+        let has_waited = self.min_rtt.is_some_and(|min| rtt > min + STANDING_QUEUE);
         if self.min_rtt.is_none_or(|min| rtt <= min) {
             (self.min_rtt, self.min_rtt_at) = (Some(rtt), Some(now));
         } else if expired {
             (self.min_rtt, self.min_rtt_at) = (Some(rtt), Some(now));
-            // A path that is not full has no queue to drain.
-            if self.round_is_window_limited && self.mode == Mode::Steady {
+            // A path that is not full has no queue to drain, but for one that others keep: what all take for the path must not grow.
+            if (self.round_is_window_limited || has_waited) && self.mode == Mode::Steady {
                 self.drain(now, rtt);
             }
         }

@@ -16,6 +16,7 @@ pub mod identity;
 mod inbox;
 pub mod link;
 pub mod mio;
+pub mod neighbour;
 mod outbox;
 pub mod pair;
 mod peer;

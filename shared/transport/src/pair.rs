@@ -10,6 +10,7 @@ use bytes::BytesMut;
 use crate::endpoint::Endpoint;
 use crate::event::Event;
 use crate::link::{Direction, Link, LinkSchedule};
+use crate::neighbour::Neighbour;
 
 /// The server's address in every pair.
 pub const SERVER_ADDR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(10, 0, 0, 1)), 47_800);
@@ -22,6 +23,8 @@ pub struct Envelope {
     ecn: Option<u8>,
     /// The client's address when it was sent.
     client_addr: SocketAddr,
+    /// Of this neighbour; `None`: of the pair itself.
+    neighbour: Option<usize>,
 }
 
 /// A server, a client and the network between them.
@@ -32,6 +35,7 @@ pub struct Pair {
     pub client: Endpoint,
     link: Link<Envelope>,
     client_addr: SocketAddr,
+    neighbours: Vec<Neighbour>,
     now_ns: i64,
     trace: Option<Vec<(i64, Direction, usize)>>,
 }
@@ -41,7 +45,15 @@ impl Pair {
     pub fn new(server: Endpoint, client: Endpoint, link: impl Into<LinkSchedule>, seed: u64) -> Self {
         let mut link = Link::new(link, seed);
         link.start_at(0);
-        Self { server, client, link, client_addr: CLIENT_ADDR, now_ns: 0, trace: None }
+        Self {
+            server,
+            client,
+            link,
+            client_addr: CLIENT_ADDR,
+            neighbours: Vec::new(),
+            now_ns: 0,
+            trace: None,
+        }
     }
 
     /// The virtual time, nanoseconds.
@@ -52,6 +64,16 @@ impl Pair {
     /// The link, for its counters.
     pub fn link(&self) -> &Link<Envelope> {
         &self.link
+    }
+
+    /// Somebody else takes the same link from now on.
+    pub fn add_neighbour(&mut self, neighbour: Neighbour) {
+        self.neighbours.push(neighbour);
+    }
+
+    /// Those who take the same link.
+    pub fn neighbours(&self) -> &[Neighbour] {
+        &self.neighbours
     }
 
     /// Replaces one end by another endpoint, as when a program is killed and started again.
@@ -89,7 +111,8 @@ impl Pair {
     pub fn next_event_ns(&mut self) -> Option<i64> {
         self.flush();
         let times = [self.link.next_event_ns(), self.server.poll_timeout(), self.client.poll_timeout()];
-        times.into_iter().flatten().min().map(|at| at.max(self.now_ns))
+        let of_neighbours = self.neighbours.iter_mut().filter_map(Neighbour::next_event_ns);
+        times.into_iter().flatten().chain(of_neighbours).min().map(|at| at.max(self.now_ns))
     }
 
     /// Plays everything up to and including `until_ns`. Times before now only send what waits.
@@ -132,38 +155,57 @@ impl Pair {
     fn step(&mut self) {
         let now_ns = self.now_ns;
         while let Some(delivery) = self.link.poll(now_ns) {
-            let Envelope { ecn, client_addr } = delivery.tag;
-            let (end, from) = match delivery.direction {
-                Direction::ToServer => (&mut self.server, client_addr),
-                Direction::ToClient if client_addr != self.client_addr => continue,
-                Direction::ToClient => (&mut self.client, SERVER_ADDR),
+            let Envelope { ecn, client_addr, neighbour } = delivery.tag;
+            let neighbour = neighbour.and_then(|number| self.neighbours.get_mut(number));
+            let (end, from) = match (delivery.direction, neighbour) {
+                (Direction::ToServer, Some(neighbour)) => (&mut neighbour.server, client_addr),
+                (Direction::ToClient, Some(neighbour)) => (&mut neighbour.client, SERVER_ADDR),
+                (Direction::ToServer, None) => (&mut self.server, client_addr),
+                (Direction::ToClient, None) if client_addr != self.client_addr => continue,
+                (Direction::ToClient, None) => (&mut self.client, SERVER_ADDR),
             };
             end.handle_udp(now_ns, from, None, ecn, BytesMut::from(&delivery.bytes[..]));
         }
         self.server.handle_timeout(now_ns);
         self.client.handle_timeout(now_ns);
+        self.neighbours.iter_mut().for_each(|neighbour| neighbour.step(now_ns, SERVER_ADDR));
     }
 
     /// Puts what the endpoints want to send on the link.
     fn flush(&mut self) {
-        for direction in [Direction::ToClient, Direction::ToServer] {
-            loop {
-                let end = match direction {
-                    Direction::ToClient => &mut self.server,
-                    Direction::ToServer => &mut self.client,
-                };
-                let Some(transmit) = end.poll_transmit(self.now_ns) else { break };
+        let Self { server, client, link, client_addr, now_ns, trace, neighbours } = self;
+        let mut own = Outflow { link, trace: trace.as_mut(), now_ns: *now_ns, neighbour: None };
+        own.flush([server, client], *client_addr);
+        for (number, Neighbour { server, client, .. }) in neighbours.iter_mut().enumerate() {
+            Outflow { link, trace: None, now_ns: *now_ns, neighbour: Some(number) }
+                .flush([server, client], CLIENT_ADDR);
+        }
+    }
+}
+
+/// What leaves the ends of one connection now.
+struct Outflow<'a> {
+    link: &'a mut Link<Envelope>,
+    trace: Option<&'a mut Vec<(i64, Direction, usize)>>,
+    now_ns: i64,
+    neighbour: Option<usize>,
+}
+
+impl Outflow<'_> {
+    fn flush(&mut self, [server, client]: [&mut Endpoint; 2], client_addr: SocketAddr) {
+        for (direction, end) in [(Direction::ToClient, server), (Direction::ToServer, client)] {
+            while let Some(transmit) = end.poll_transmit(self.now_ns) {
                 let client_addr = match direction {
                     Direction::ToClient => transmit.to,
                     // Nobody lives at any other address.
                     Direction::ToServer if transmit.to != SERVER_ADDR => continue,
-                    Direction::ToServer => self.client_addr,
+                    Direction::ToServer => client_addr,
                 };
                 for datagram in transmit.datagrams() {
                     if let Some(trace) = &mut self.trace {
                         trace.push((self.now_ns, direction, datagram.len()));
                     }
-                    let envelope = Envelope { ecn: transmit.ecn, client_addr };
+                    let envelope = Envelope { ecn: transmit.ecn, client_addr, neighbour: self.neighbour };
                     self.link.send(self.now_ns, direction, datagram.to_vec(), envelope);
                 }
             }

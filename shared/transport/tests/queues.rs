@@ -1,6 +1,7 @@
 //! What a stream of pictures makes of the queue before a bottleneck, in virtual time.
 
 use shadecast_protocol::limits::PADDING_BYTES;
+use shadecast_transport::neighbour::{Neighbour, Traffic};
 use shadecast_transport::pair::SERVER_ADDR;
 use shadecast_transport::{
     Direction, Endpoint, EndpointConfig, Event, ExpectedIdentity, LinkProfile, LinkSchedule, Pair, PeerId,
@@ -176,6 +177,46 @@ fn a_path_that_takes_longer_under_load_is_not_starved() {
             let context = format!("{wanted_mbit} over {link}: {queue_ms} ms, {mbit} Mbit/s");
             assert!(mbit > 0.8 * wanted_mbit.min(rate_mbit), "{context}");
             assert!(queue_ms < 100.0, "{context}");
+        }
+    }
+}
+
+/// A viewer that follows the target beside a neighbour that comes later, behind 20 Mbit/s: what both get, Mbit/s, and the queue, milliseconds.
+fn beside(traffic: Traffic, latency_ms: u32, seed: u64) -> ([f64; 2], f64) {
+    let mut stream = Stream::start(profile(&format!("latency={latency_ms}ms,rate=20mbit")), 20.0, seed);
+    stream.follows_target = true;
+    stream.pair.server.send_control(stream.peer, &[0; PADDING_BYTES]).unwrap();
+    stream.pair.add_neighbour(Neighbour::new(traffic, 3 * S, seed ^ 77).unwrap());
+    stream.until(0, 15 * S);
+    let before_bytes = stream.pair.neighbours()[0].arrived_bytes();
+    let (queue_ms, _, mbit) = stream.until(15 * S, 45 * S);
+    let theirs = (stream.pair.neighbours()[0].arrived_bytes() - before_bytes) as f64 * 8e-6 / 30.0;
+    ([mbit, theirs], queue_ms)
+}
+
+#[test]
+fn two_viewers_behind_one_bottleneck_share_it() {
+    for latency_ms in [5, 20] {
+        for seed in [1, 2] {
+            let ([own, theirs], queue_ms) = beside(Traffic::Pictures(20.0), latency_ms, seed);
+            let context = format!("{latency_ms} ms: {own:.1} and {theirs:.1} Mbit/s, queue {queue_ms:.0} ms");
+            println!("{context}");
+            assert!(own.min(theirs) > 0.75 * (own + theirs) / 2.0, "{context}");
+            assert!(own + theirs > 0.8 * 20.0 && queue_ms < 60.0, "{context}");
+        }
+    }
+}
+
+/// A Cubic fills the router's queue, and the target answers every queue: it gets a tenth to two fifths.
+#[test]
+fn a_viewer_beside_a_download_goes_on_and_leaves_it_its_share() {
+    for latency_ms in [5, 20] {
+        for seed in [1, 2] {
+            let ([own, theirs], queue_ms) = beside(Traffic::Download, latency_ms, seed);
+            let context = format!("{latency_ms} ms: {own:.1} and {theirs:.1} Mbit/s, queue {queue_ms:.0} ms");
+            println!("{context}");
+            assert!(theirs > 0.75 * (own + theirs) / 2.0, "the download is starved: {context}");
+            assert!(own > 1.2, "the viewer is starved: {context}");
         }
     }
 }
