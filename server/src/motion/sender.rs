@@ -7,7 +7,7 @@ use super::posed::{self, PosedInstances};
 use super::sampled::{SampleWindow, SharedCoder};
 use super::schedules::Schedules;
 use crate::animation::timeline::SharedTimeline;
-use crate::pacing::gate::{Budget, WayState};
+use crate::pacing::share::{Budget, WayState};
 use crate::scene::SceneGpu;
 use crate::scene::numbering::SceneVertex;
 use crate::skinning::posing::CpuPose;

@@ -3,40 +3,24 @@
 //!
 //! A link that carries less than the scene needs gets fewer updates, each of them whole. What would wait before the link
 //! is not made at all, since it would be old when it leaves.
+//!
+//! The gate measures a link while something waits for it. The transport's target cannot say that a link is slow: where little is sent, it is
+//! what a first train told, and jitter of 5 ms makes that a tenth of 100 Mbit/s.
 
+use crate::pacing::share::{Budget, Share, WayState};
 use shadecast_protocol::ids::UpdateId;
-use shadecast_transport::PeerStats;
 use std::collections::VecDeque;
-use std::time::Duration;
 
 /// Updates that may wait for the link when another one is made.
 const MAX_WAITING_UPDATES: usize = 2;
-/// What is under way may take this long to arrive, and a round trip, where the link's rate is known, nanoseconds.
-const MAX_WAIT_NS: i64 = 250_000_000;
 /// An update that has not arrived after two round trips and this, nanoseconds, waits: one loss and its repair take less.
 const LATE_NS: i64 = 100_000_000;
-/// A longer round trip is not believed.
-const LONGEST_ROUND_TRIP: Duration = Duration::from_secs(1);
 /// The link is measured only over at least this long a time in which something waited for it, nanoseconds.
 const MEASURE_NS: i64 = 300_000_000;
 /// A measured rate counts for so long after something last waited, nanoseconds. Meanwhile the link is taken to carry so many times as much
 /// with each second: where it does not, something waits again, and where it does, what is sent grows with it and not at once.
 const RATE_LIFETIME_NS: i64 = 10_000_000_000;
 const RATE_GROWTH: f64 = 1.25;
-/// On a slow link an update brings new geometry for this part of a second, so that its picture is not far behind.
-const GEOMETRY_S: f64 = 1.0;
-/// The same for samples, in one step of the time grid: three fifths of what the link carries meanwhile.
-const SAMPLES_S: f64 = 0.02;
-/// The same for what is shown later: a tenth of what the link carries meanwhile.
-const LATER_S: f64 = 0.0033;
-/// Of what a slow link carries, streams take this part.
-const LINK_SHARE: f64 = 0.8;
-/// New geometry that an update may bring until the first one has arrived, bytes: over a slow link the first picture would
-/// have to wait for the whole scene. More where the connection's first messages went faster: what their rate carries in
-/// [`GEOMETRY_S`].
-const FIRST_GEOMETRY_BYTES: usize = 131_072;
-/// New geometry that any update may bring, bytes: the scene must enter even over the slowest link.
-const LEAST_GEOMETRY_BYTES: f64 = 16_384.0;
 /// The person is told of a slow link at most this often, and when updates have been withheld for this long, nanoseconds: a
 /// new connection on a long way needs some round trips until it is as fast as it can be.
 const TELL_NS: i64 = 10_000_000_000;
@@ -50,53 +34,6 @@ const LONGEST_COVERED_NS: i64 = 1_000_000_000;
 
 /// Stands for what leaves after all updates, so that none waits for it.
 pub(crate) const AFTER_ALL: UpdateId = UpdateId(u32::MAX);
-
-/// What the transport knows of the way to a client.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub struct WayState {
-    /// Streams handed over that have not arrived whole.
-    pub streams_under_way: u64,
-    /// Bytes that may be under way at once: on a new connection far more than a slow link takes.
-    pub window_bytes: u64,
-    /// Shortest round trip so far, nanoseconds.
-    pub round_trip_ns: i64,
-    /// The usual one, nanoseconds.
-    pub smoothed_ns: i64,
-    /// It has delivered so many bytes a second, and may carry more; 0 before anything is known.
-    pub delivered_bytes_s: u64,
-    /// How much to send, bytes a second, so that no queue stands; 0 before anything is known.
-    pub target_bytes_s: u64,
-}
-
-impl From<PeerStats> for WayState {
-    fn from(stats: PeerStats) -> Self {
-        Self {
-            streams_under_way: stats.streams_under_way,
-            window_bytes: stats.window_bytes,
-            round_trip_ns: stats.min_rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
-            smoothed_ns: stats.rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
-            delivered_bytes_s: stats.delivered_bit_per_s / 8,
-            target_bytes_s: stats.target_bit_per_s / 8,
-        }
-    }
-}
-
-/// What an update may take on the wire, about.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Budget {
-    /// Bytes of patches and vertices that the client does not have; the largest blocks come first, the rest waits.
-    pub geometry_bytes: usize,
-    /// Bytes of samples that one step of motion may bring.
-    pub sample_bytes: usize,
-    /// Bytes that one step of motion may bring of what is shown later.
-    pub later_bytes: usize,
-}
-
-impl Budget {
-    /// As much as there is.
-    pub(crate) const UNLIMITED: Self =
-        Self { geometry_bytes: usize::MAX, sample_bytes: usize::MAX, later_bytes: usize::MAX };
-}
 
 /// What a stream holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -199,8 +136,8 @@ impl UpdateGate {
         self.observe(way, now_ns);
         let waiting = self.before_the_link(way, now_ns);
         let under_way: u64 = self.before_updates().map(|sent| sent.bytes).sum();
-        let most_s = (MAX_WAIT_NS + way.round_trip_ns) as f64 * 1e-9;
-        let leaves_soon = self.rate_bytes_s(now_ns).is_none_or(|rate| under_way as f64 <= rate * most_s);
+        let most_bytes = self.share(way, now_ns).most_under_way_bytes(way.round_trip_ns);
+        let leaves_soon = most_bytes.is_none_or(|most| under_way as f64 <= most);
         let may = waiting.updates <= MAX_WAITING_UPDATES && leaves_soon;
         if !may {
             let together = self.withheld_ns.filter(|[_, last_ns]| now_ns - last_ns <= TOGETHER_NS);
@@ -211,19 +148,12 @@ impl UpdateGate {
 
     /// What the next update may take.
     pub(crate) fn budget(&self, way: &WayState, now_ns: i64) -> Budget {
-        match self.rate_bytes_s(now_ns) {
-            Some(rate) => Budget {
-                geometry_bytes: (rate * GEOMETRY_S).max(LEAST_GEOMETRY_BYTES) as usize,
-                sample_bytes: (rate * SAMPLES_S) as usize,
-                later_bytes: (rate * LATER_S) as usize,
-            },
-            None if !self.has_arrived => {
-                let carried = (way.delivered_bytes_s as f64 * GEOMETRY_S) as usize;
-                let geometry_bytes = FIRST_GEOMETRY_BYTES.max(carried);
-                Budget { geometry_bytes, later_bytes: 0, ..Budget::UNLIMITED }
-            }
-            None => Budget::UNLIMITED,
-        }
+        self.share(way, now_ns).budget(!self.has_arrived)
+    }
+
+    /// What the link gives.
+    pub(crate) fn share(&self, way: &WayState, now_ns: i64) -> Share {
+        Share::of(way, self.rate_bytes_s(now_ns))
     }
 
     /// What to tell the person, now and then, where updates are withheld.
@@ -239,13 +169,6 @@ impl UpdateGate {
         self.told_ns = Some(now_ns);
         let wanted_hz = 1e9 / self.period_ns as f64;
         Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6, wanted_hz })
-    }
-
-    /// What all streams may take of the link, bytes a second, where that is known.
-    pub(crate) fn share_bytes_s(&self, way: &WayState, now_ns: i64) -> Option<f64> {
-        let target = Some(way.target_bytes_s as f64).filter(|target| *target > 0.0);
-        let of_slow = self.rate_bytes_s(now_ns).map(|rate| LINK_SHARE * rate);
-        target.into_iter().chain(of_slow).reduce(f64::min)
     }
 
     /// What the link is taken to carry, bytes a second, where it was too slow a moment ago.

@@ -11,3 +11,4 @@ pub mod quality;
 pub mod relief;
 pub mod room;
 pub(crate) mod shade_rate;
+pub mod share;

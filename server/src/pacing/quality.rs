@@ -9,6 +9,7 @@
 //! What is left over is for more texels (`density`).
 
 use crate::pacing::density::Spare;
+use crate::pacing::share::{USUAL_MBIT_S, bytes_s, picture_bytes, spare_at};
 use shadecast_protocol::message::Codec;
 use std::fmt;
 
@@ -17,7 +18,7 @@ pub const DEFAULT_QP: u8 = 22;
 
 /// What all of a client's streams may take together where a number is wanted and none is given, Mbit/s; what [`QualityOptions::Auto`] begins
 /// with.
-pub const DEFAULT_BITRATE_MBIT_S: f64 = 20.0;
+pub const DEFAULT_BITRATE_MBIT_S: f64 = USUAL_MBIT_S;
 /// What [`QualityOptions::Auto`] takes at most, Mbit/s: what Wi-Fi at home carries beside others.
 pub const MOST_BITRATE_MBIT_S: f64 = 100.0;
 
@@ -33,13 +34,6 @@ const ROOM: f64 = 0.75;
 /// Of the time from one update to the next an encoder may take this part; one that takes longer is given nothing finer than
 /// [`DEFAULT_QP`].
 const ENCODER_SHARE: f64 = 0.8;
-/// With this quantiser, or a finer one, there are bits for more texels; with that, or a coarser one, too few for those there are.
-const QP_WITH_ROOM: u8 = 20;
-const QP_WITHOUT: u8 = 28;
-/// Pictures have at least this part of the bits, however many geometry takes.
-const LEAST_PICTURE_SHARE: f64 = 0.25;
-/// Over a link that carries little there are fewer updates rather than worse ones, down to so many a second.
-const SLOW_UPDATES_HZ: f64 = 10.0;
 /// What goes for geometry and motion is their mean over about so many seconds.
 const OTHERS_S: f64 = 1.0;
 /// What was left of the last seconds' bytes, or taken too much of them, is made good over this long.
@@ -178,13 +172,11 @@ impl Quality {
 
     /// Whether bits and time are left over.
     pub(crate) fn spare(&self) -> Spare {
-        let is_constant = matches!(self.options, QualityOptions::Constant(_));
-        let has_bits = |qp: u8| is_constant || self.is_told && self.qp <= qp;
-        match self.is_slow.contains(&true) {
-            true => Spare::Short,
-            false if has_bits(QP_WITH_ROOM) => Spare::Room,
-            false if has_bits(QP_WITHOUT - 1) => Spare::Enough,
-            false => Spare::Short,
+        match self.options {
+            _ if self.is_slow.contains(&true) => Spare::Short,
+            QualityOptions::Constant(_) => Spare::Room,
+            _ if self.is_told => spare_at(self.qp),
+            _ => Spare::Short,
         }
     }
 
@@ -220,10 +212,8 @@ impl Quality {
 
     /// What a picture may take, bytes, where all streams together may take so many a second.
     fn picture_bytes(&self, bytes_s: f64) -> f64 {
-        let left_bytes_s = bytes_s - self.others_bytes_s + self.balance_bytes / BALANCE_S;
-        let slow_period_s = self.period_s.max(1.0 / SLOW_UPDATES_HZ);
-        let period_s = (self.period_s * self.shortness()).min(slow_period_s);
-        left_bytes_s.max(LEAST_PICTURE_SHARE * bytes_s) * period_s
+        let others_bytes_s = self.others_bytes_s - self.balance_bytes / BALANCE_S;
+        picture_bytes(bytes_s, others_bytes_s, self.period_s, self.shortness())
     }
 
     /// What all streams together may take, bytes a second; `None`: what they take.
@@ -246,10 +236,6 @@ impl Quality {
         };
         self.link_bytes_s.map_or(1.0, |link| (bytes_s(asked_mbit_s) / link).max(1.0))
     }
-}
-
-fn bytes_s(mbit_s: f64) -> f64 {
-    mbit_s * 1e6 / 8.0
 }
 
 #[cfg(test)]

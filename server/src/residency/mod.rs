@@ -13,7 +13,7 @@ use crate::motion::delta::{UpdateDelta, UpdateStamp};
 use crate::motion::sampled::{Coder, SharedCoder};
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::Steps;
-use crate::pacing::gate::Budget;
+use crate::pacing::share::Budget;
 use crate::residency::retained::Retained;
 use crate::residency::slots::Slots;
 use crate::scene::geometry::{Geometry, vertices_of_patch};

@@ -4,9 +4,10 @@
 use crate::motion::delta::UpdateDelta;
 use crate::motion::sender::SharedMotion;
 use crate::pacing::density::Spare;
-use crate::pacing::gate::{AFTER_ALL, Budget, Kind, Shortfall, UpdateGate, WayState};
+use crate::pacing::gate::{AFTER_ALL, Kind, Shortfall, UpdateGate};
 use crate::pacing::quality::{Quality, QualityOptions, SentPicture};
 use crate::pacing::relief::{Measures, Relief};
+use crate::pacing::share::{Budget, WayState};
 use crate::support::lock::lock;
 use crate::update::Shaded;
 use shadecast_protocol::delta::{DeltaSizes, EncodedDelta};
@@ -215,7 +216,7 @@ impl<U: Updates> Viewer<U> {
 
     /// An update is to be made now, by what is given back. Over a way of which nothing is known it may take what it wants.
     pub fn begin(&mut self, way: Option<&WayState>, now_ns: i64) -> &mut U {
-        self.quality.note_link(way.and_then(|way| self.gate.share_bytes_s(way, now_ns)));
+        self.quality.note_link(way.and_then(|way| self.gate.share(way, now_ns).streams_bytes_s()));
         self.updates.set_budget(way.map_or(Budget::UNLIMITED, |way| self.gate.budget(way, now_ns)));
         self.updates.set_spare(self.quality.spare());
         self.updates.set_measures(self.relief.measures());

@@ -28,7 +28,7 @@ use shadecast_scene::{
 use shadecast_server::animation::saved::MOST_PLACES;
 use shadecast_server::animation::timeline::SharedTimeline;
 use shadecast_server::motion::sender::MotionSender;
-use shadecast_server::pacing::gate::WayState;
+use shadecast_server::pacing::share::WayState;
 use shadecast_server::scene::motion_library::MotionOption;
 use shadecast_server::scene::skins::Skinning;
 use shadecast_server::scene::{SceneGpu, SceneOptions};

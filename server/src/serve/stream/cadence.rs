@@ -90,7 +90,7 @@ fn guarded<T>(outlet: &dyn Outlet, peer: PeerId, body: impl FnOnce() -> T) -> Op
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::pacing::gate::WayState;
+    use crate::pacing::share::WayState;
     use shadecast_protocol::session::Out;
 
     #[derive(Default)]

@@ -1,6 +1,6 @@
 //! What pipeline and encoders hand their messages to.
 
-use crate::pacing::gate::WayState;
+use crate::pacing::share::WayState;
 use shadecast_protocol::message::Refused;
 use shadecast_protocol::session::Out;
 use shadecast_transport::{PeerId, SendError};
