@@ -8,7 +8,7 @@
 //! 2. **A picture at a useful quantiser**, as often as the link allows. Pictures have a quarter at least. Where the link carries less than a
 //!    stream takes, there are fewer of them, down to ten a second, before they get coarser. No update is made where what is under way takes a
 //!    slow link another quarter of a second.
-//! 3. **Geometry.** An update brings what a slow link carries in 100 ms, or 48 kB where that is more: the largest blocks first, the rest with later updates. The first
+//! 3. **Geometry.** An update brings what a slow link carries in 100 ms, or 16 kB where that is more: the largest blocks first, the rest with later updates. The first
 //!    update brings a second of what the way has delivered, since nothing is shown before.
 //! 4. **Finer quantisers**, to the end of the target.
 //! 5. **Texels and levels of detail**, once quantisers are fine.
@@ -37,7 +37,7 @@ const GEOMETRY_S: f64 = 0.1;
 /// New geometry of the first update is what the way has delivered in so many seconds.
 const FIRST_GEOMETRY_S: f64 = 1.0;
 /// New geometry that an update may bring in any case, bytes: what comes into view must enter whole even over the slowest link.
-const LEAST_GEOMETRY_BYTES: f64 = 49_152.0;
+const LEAST_GEOMETRY_BYTES: f64 = 16_384.0;
 /// The same for the first update.
 const LEAST_FIRST_GEOMETRY_BYTES: f64 = 131_072.0;
 /// With this quantiser, or a finer one, there are bits for more texels; with that, or a coarser one, too few for those there are.
