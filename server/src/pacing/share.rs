@@ -36,7 +36,7 @@ const SLOW_UPDATES_HZ: f64 = 10.0;
 const GEOMETRY_S: f64 = 0.1;
 /// New geometry of the first update is what the way has delivered in so many seconds.
 const FIRST_GEOMETRY_S: f64 = 1.0;
-/// New geometry that an update may bring in any case, bytes: what comes into view must enter whole even over the slowest link.
+/// New geometry that an update may bring in any case, bytes: the scene must enter even over the slowest link.
 const LEAST_GEOMETRY_BYTES: f64 = 16_384.0;
 /// The same for the first update.
 const LEAST_FIRST_GEOMETRY_BYTES: f64 = 131_072.0;

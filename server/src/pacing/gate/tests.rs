@@ -128,7 +128,7 @@ fn geometry_is_bounded_only_while_the_link_is_known_to_be_slow() {
     let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
     run(&mut gate, &mut link, 10, [40_000, 20_000]);
     let Budget { geometry_bytes, sample_bytes, .. } = gate.budget(&link.way(), link.now_ns);
-    assert_eq!(geometry_bytes, 16_384, "100 ms of 125 kB/s, and no less than lets the scene enter whole");
+    assert_eq!(geometry_bytes, 16_384, "100 ms of 125 kB/s, and no less than lets the scene enter");
     assert!((2_000..3_000).contains(&sample_bytes), "{sample_bytes}");
     link.bytes_s = 50e6;
     link.window_bytes = 1 << 20;
