@@ -8,10 +8,13 @@ use std::net::{IpAddr, Ipv4Addr, SocketAddr};
 use bytes::BytesMut;
 
 use crate::endpoint::Endpoint;
-use crate::event::Event;
+use crate::event::{Event, PeerId};
+use crate::identity::ExpectedIdentity;
 use crate::link::{Direction, Link, LinkSchedule};
 use crate::neighbour::Neighbour;
 
+/// Most time that is played at once while a connection is made, nanoseconds.
+const CONNECT_STEP_NS: i64 = 5_000_000_000;
 /// The server's address in every pair.
 pub const SERVER_ADDR: SocketAddr = SocketAddr::new(IpAddr::V4(Ipv4Addr::new(10, 0, 0, 1)), 47_800);
 /// The client's address in every pair, until it moves.
@@ -74,6 +77,21 @@ impl Pair {
     /// Those who take the same link.
     pub fn neighbours(&self) -> &[Neighbour] {
         &self.neighbours
+    }
+
+    /// The client dials the server and takes its key; plays until it is connected. Gives the client as the server knows it.
+    pub fn connect(&mut self) -> PeerId {
+        self.client.connect(self.now_ns, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
+        loop {
+            let seen = self.step_to_events(self.now_ns + CONNECT_STEP_NS);
+            let connected = seen.into_iter().find_map(|(end, event)| match (end, event) {
+                (Direction::ToServer, Event::Connected { peer, .. }) => Some(peer),
+                _ => None,
+            });
+            if let Some(peer) = connected {
+                return peer;
+            }
+        }
     }
 
     /// Replaces one end by another endpoint, as when a program is killed and started again.

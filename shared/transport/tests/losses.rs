@@ -1,9 +1,6 @@
 //! How late updates are that must be taken in order, on paths that lose packets, in virtual time.
 
-use shadecast_transport::pair::SERVER_ADDR;
-use shadecast_transport::{
-    Direction, Endpoint, EndpointConfig, Event, ExpectedIdentity, LinkProfile, Pair, PeerId, ServerIdentity,
-};
+use shadecast_transport::{Endpoint, EndpointConfig, Event, LinkProfile, Pair, PeerId, ServerIdentity};
 use std::collections::BTreeMap;
 
 const MS: i64 = 1_000_000;
@@ -35,17 +32,10 @@ impl Play {
         let server = Endpoint::server(&ServerIdentity::from_seed(seed).unwrap(), config(1 << 20)).unwrap();
         let link: LinkProfile = link.parse().unwrap();
         let mut pair = Pair::new(server, Endpoint::client(config(2 << 20)), link, seed);
-        pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
-        let mut peer = None;
-        while peer.is_none() {
-            peer = pair.step_to_events(5 * S).into_iter().find_map(|(end, event)| match (end, event) {
-                (Direction::ToServer, Event::Connected { peer, .. }) => Some(peer),
-                _ => None,
-            });
-        }
+        let peer = pair.connect();
         Self {
             pair,
-            peer: peer.unwrap(),
+            peer,
             sent_ns: Vec::new(),
             came: BTreeMap::new(),
             late_ns: Vec::new(),

@@ -2,10 +2,8 @@
 
 use shadecast_protocol::limits::PADDING_BYTES;
 use shadecast_transport::neighbour::{Neighbour, Traffic};
-use shadecast_transport::pair::SERVER_ADDR;
 use shadecast_transport::{
-    Direction, Endpoint, EndpointConfig, Event, ExpectedIdentity, LinkProfile, LinkSchedule, Pair, PeerId,
-    ServerIdentity,
+    Direction, Endpoint, EndpointConfig, Event, LinkProfile, LinkSchedule, Pair, PeerId, ServerIdentity,
 };
 
 const MS: i64 = 1_000_000;
@@ -29,23 +27,9 @@ impl Stream {
         let config = |salt| EndpointConfig { seed: Some(seed ^ salt), ..EndpointConfig::default() };
         let server = Endpoint::server(&ServerIdentity::from_seed(seed).unwrap(), config(1)).unwrap();
         let mut pair = Pair::new(server, Endpoint::client(config(2)), link, seed);
-        pair.client.connect(0, SERVER_ADDR, ExpectedIdentity::TrustOnFirstUse);
-        let mut peer = None;
-        while peer.is_none() {
-            peer = pair.step_to_events(5 * S).into_iter().find_map(|(end, event)| match (end, event) {
-                (Direction::ToServer, Event::Connected { peer, .. }) => Some(peer),
-                _ => None,
-            });
-        }
+        let peer = pair.connect();
         let picture_bytes = (mbit_s * 1e6 / 8.0 * PERIOD_NS as f64 * 1e-9) as usize;
-        Self {
-            pair,
-            peer: peer.unwrap(),
-            picture_bytes,
-            follows_target: false,
-            queues_ms: Vec::new(),
-            arrived_bytes: 0,
-        }
+        Self { pair, peer, picture_bytes, follows_target: false, queues_ms: Vec::new(), arrived_bytes: 0 }
     }
 
     /// Goes on until `until_ns`; median and most of the queue from `settled_ns` on, milliseconds, and what arrived from then on, Mbit/s.
