@@ -18,7 +18,7 @@ use crate::scene::numbering::ScenePatch;
 use crate::update::eye::EyeSize;
 use crate::update::policy::UpdatePolicy;
 use crate::update::visibility_step::{Aim, Fit, PlacementInput, Seen};
-use crate::visibility::detail::Detail;
+use crate::visibility::detail::{Detail, ErrorFactors};
 use crate::visibility::lod_set::{LodInstance, LodSet};
 use crate::visibility::predict::PredictedViews;
 use crate::world::{Site, World};
@@ -116,11 +116,11 @@ impl PlacementStep {
         self.wanted_texels_per_pixel() * self.policy.texels_per_pixel
     }
 
-    /// Factor on the allowed error of LODs.
-    pub(crate) fn error(&self) -> f32 {
+    /// Factors on the allowed error of LODs.
+    pub(crate) fn error(&self) -> ErrorFactors {
         let coarser = [Measure::CoarserDetail, Measure::CoarsestDetail].map(|m| self.measures.has(m));
         let steps = coarser.iter().filter(|has| **has).count();
-        COARSER_ERROR.powi(steps as i32) * self.density.error()
+        ErrorFactors { density: self.density.error(), measures: COARSER_ERROR.powi(steps as i32) }
     }
 
     /// Texels that blocks are asked to have for a pixel of the display, before sides are rounded up.

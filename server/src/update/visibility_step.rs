@@ -9,6 +9,7 @@ use crate::pacing::room::Room;
 use crate::residency::Residency;
 use crate::scene::SceneGpu;
 use crate::scene::meshes::MeshLod;
+use crate::shading::passes::shadow::Casters;
 use crate::time::view_time::ViewTime;
 use crate::time::{RingPlace, VIEW_TIMES};
 use crate::update::ShowOptions;
@@ -16,7 +17,7 @@ use crate::update::eye::EyeSize;
 use crate::update::policy::{ONLY_THE_FIRST, UpdatePolicy};
 use crate::update::views::{ViewsBuffer, first_views};
 use crate::visibility::culling::{Culling, Needed, Sight};
-use crate::visibility::detail::{Detail, LodCost};
+use crate::visibility::detail::{Detail, ErrorFactors, LodCost};
 use crate::visibility::lod_set::{LodInstance, LodSet};
 use crate::visibility::nearness::pixels_per_metre;
 use crate::visibility::passes::extents::{Extents, ExtentsMemory};
@@ -99,8 +100,8 @@ pub(crate) struct Start {
     pub views: PredictedViews,
     /// Texels for a pixel that extents are measured with.
     pub texels_per_pixel: f32,
-    /// Factor on the allowed error of LODs.
-    pub error: f32,
+    /// Factors on the allowed error of LODs.
+    pub error: ErrorFactors,
     /// How much the client can be shown at once.
     pub room: Room,
     /// Bytes of geometry that it may bring.
@@ -259,7 +260,8 @@ impl VisibilityStep {
         let mut recorder = world.gpu().record()?;
         let began = world.effort().begin();
         self.needs.set_lods(self.detail.finest());
-        let sampled = world.animate(&mut recorder, self.viewer, views, &self.needs); // 2
+        let casters = if self.measures.has(Measure::CoarserDetail) { Casters::Coarse } else { Casters::Fine };
+        let sampled = world.animate(&mut recorder, self.viewer, views, (&self.needs, casters)); // 2
         world.effort_mut().add_animation(began);
         self.views.extent = self.ids_extent();
         self.turned_frusta = self.views.write(views, start.update, start.texels_per_pixel);

@@ -19,6 +19,8 @@ pub const DEFAULT_DETAIL_PIXELS: f32 = 0.5;
 /// Measures of a slow device make LODs err by no more than this angle, radians: 17 pixels of a window with 800 rows. More of a small
 /// picture would break its shapes.
 const MOST_ERROR_RAD: f32 = 0.024;
+/// They take no LOD of fewer patches: it saves no time, and each of its blocks is large, and shaded whole where a shadow moves over it.
+const LEAST_PATCHES: u32 = 1000;
 /// A coarser LOD is taken when its error is below this part of what is allowed.
 const COARSER_BELOW: f32 = 0.7;
 /// Under pressure the allowed error grows by this factor with every step.
@@ -40,6 +42,23 @@ const UNKNOWN_SHARE: f32 = 0.6;
 const RIM: f32 = 1.1;
 /// LODs change in one of so many updates only: these need a second ID buffer.
 const CHANGE_EVERY_UPDATES: u32 = 4;
+
+/// Factors on the error that LODs may have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct ErrorFactors {
+    /// By bits and time to spare.
+    pub density: f32,
+    /// By the measures of a slow device.
+    pub measures: f32,
+}
+
+/// Pixels of error that LODs may have.
+#[derive(Clone, Copy, Debug, PartialEq)]
+struct Allowed {
+    pixels: f32,
+    /// Without the measures of a slow device.
+    unmeasured_pixels: f32,
+}
 
 /// An LOD of an instance, the finest first.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -63,7 +82,7 @@ pub(crate) struct Detail {
     /// [`MOST_ERROR_RAD`] as pixels of the client's display.
     most_pixels: f32,
     /// So many times as much is allowed where nothing presses.
-    error: f32,
+    error: ErrorFactors,
     /// By instance.
     costs: Vec<Vec<LodCost>>,
     states: Vec<State>,
@@ -94,11 +113,16 @@ struct State {
 impl State {
     /// The LOD to want when so many pixels of error are allowed: the one that was, where it will do and no coarser one
     /// would do with room to spare.
-    fn lod(&self, costs: &[LodCost], allowed_pixels: f32) -> usize {
+    fn lod(&self, costs: &[LodCost], allowed: Allowed) -> usize {
         let coarsest = |pixels: f32| {
             costs.iter().rposition(|cost| cost.error_m * self.pixels_per_metre <= pixels).unwrap_or(0)
         };
-        self.aim.clamp(coarsest(COARSER_BELOW * allowed_pixels), coarsest(allowed_pixels))
+        let lod = |pixels: f32| self.aim.clamp(coarsest(COARSER_BELOW * pixels), coarsest(pixels));
+        if allowed.pixels <= allowed.unmeasured_pixels {
+            return lod(allowed.pixels);
+        }
+        let of_worth = costs.iter().rposition(|cost| cost.patches >= LEAST_PATCHES).unwrap_or(0);
+        lod(allowed.pixels).min(of_worth.max(lod(allowed.unmeasured_pixels)))
     }
 
     fn is_on_display(&self) -> bool {
@@ -160,7 +184,7 @@ impl Detail {
         Self {
             asked_pixels,
             most_pixels: MOST_ERROR_RAD * pixels_per_radian,
-            error: 1.0,
+            error: ErrorFactors { density: 1.0, measures: 1.0 },
             states: vec![state; costs.len()],
             costs,
             pressure: Pressure::new(Steps(0)),
@@ -177,7 +201,7 @@ impl Detail {
         (room, bytes): (Room, usize),
         needed: &Needed,
         pixels_per_metre: &[f32],
-        error: f32,
+        error: ErrorFactors,
     ) {
         (self.error, self.bytes) = (error, bytes);
         self.update += 1;
@@ -296,20 +320,24 @@ impl Detail {
 
     /// Pixels of error that are allowed now.
     pub(crate) fn allowed_pixels(&self) -> f32 {
-        self.allowed(self.steps())
+        self.allowed(self.steps()).pixels
     }
 
     fn steps(&self) -> u32 {
         self.pressure.step().0
     }
 
-    fn allowed(&self, steps: u32) -> f32 {
-        let pixels = (self.asked_pixels * self.error).min(self.most_pixels.max(self.asked_pixels));
-        pixels * STEP.powi(steps as i32)
+    fn allowed(&self, steps: u32) -> Allowed {
+        let pixels = |error: f32| {
+            let pixels = (self.asked_pixels * error).min(self.most_pixels.max(self.asked_pixels));
+            pixels * STEP.powi(steps as i32)
+        };
+        let ErrorFactors { density, measures } = self.error;
+        Allowed { pixels: pixels(density * measures), unmeasured_pixels: pixels(density) }
     }
 
     fn want(&mut self, may_change: impl Fn(&State) -> bool) {
-        let allowed = self.allowed_pixels();
+        let allowed = self.allowed(self.steps());
         for (state, costs) in self.states.iter_mut().zip(&self.costs).filter(|(state, _)| may_change(state)) {
             state.aim = state.lod(costs, allowed);
             state.wanted = state.aim;

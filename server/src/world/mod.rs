@@ -6,7 +6,7 @@ pub mod samples;
 
 use crate::animation::timeline::SharedTimeline;
 use crate::scene::SceneGpu;
-use crate::shading::passes::shadow::Shadow;
+use crate::shading::passes::shadow::{Casters, Shadow};
 use crate::shading::reuse::Moment;
 use crate::skinning::gpu::{Animation, AnimationCounts};
 use crate::time::RingPlace;
@@ -212,18 +212,19 @@ impl World {
         self.unite();
     }
 
-    /// Records the samples that an update for `views` lacks, of the instances that `viewer` needs and those that others do.
+    /// Records the samples that an update for `views` lacks, of the instances that `viewer` needs with casters so fine, and those that
+    /// others do.
     pub(crate) fn animate(
         &mut self,
         recorder: &mut Recorder,
         viewer: ViewerId,
         views: &PredictedViews,
-        needs: &Needed,
+        (needs, casters): (&Needed, Casters),
     ) -> Sampled {
         let instances = self.scene.numbering.instances.len();
         let of_viewer = self.needs.entry(viewer).or_insert_with(|| Needed::none(instances));
         of_viewer.copy(needs);
-        of_viewer.refine(self.shadow.lods());
+        of_viewer.refine(self.shadow.lods(casters));
         self.unite();
         let places = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
         Sampled { places }

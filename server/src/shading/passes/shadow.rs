@@ -19,6 +19,17 @@ use std::sync::Arc;
 
 /// Texels of the map that the surface of a caster may be off.
 const ERROR_TEXELS: f32 = 0.5;
+/// The same of coarse casters. None is coarser than its surface is shown, which it would darken otherwise.
+const COARSE_ERROR_TEXELS: f32 = 3.0;
+
+/// How fine the casters of a map are.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Casters {
+    /// As fine as the map can show.
+    Fine,
+    /// No finer than their surfaces are shown, where the map hardly shows that.
+    Coarse,
+}
 
 /// The stage with its outputs.
 pub(crate) struct Shadow {
@@ -30,8 +41,10 @@ pub(crate) struct Shadow {
     sampler: Sampler,
     light: Buffer,
     view: Option<SunView>,
-    /// By instance: the LOD that its shadow is drawn at.
+    /// By instance: the LOD that its shadow is drawn at, or a coarser one where nobody needs that.
     lods: Vec<usize>,
+    /// The same with coarse casters.
+    coarse_lods: Vec<usize>,
     /// Whether any caster moves.
     is_animated: bool,
     is_drawn: bool,
@@ -45,8 +58,9 @@ impl Shadow {
     /// For the scene's sun, with casters as fine as its map can show. Where it casts no shadows, or nothing is in its way, the map is a
     /// small empty one.
     pub(crate) fn new(gpu: &Arc<Gpu>, scene: &SceneGpu, animation: &Animation) -> Result<Self, GpuError> {
-        let lods = caster_lods(scene);
-        Ok(Self { lods, ..Self::in_full_detail(gpu, scene, animation)? })
+        let [lods, coarse_lods] =
+            [ERROR_TEXELS, COARSE_ERROR_TEXELS].map(|texels| caster_lods(scene, texels));
+        Ok(Self { lods, coarse_lods, ..Self::in_full_detail(gpu, scene, animation)? })
     }
 
     /// The same with casters in full detail.
@@ -88,6 +102,7 @@ impl Shadow {
             target: Framebuffer::new(gpu, &pass, [side; 2], &[map.view()])?,
             sampler: Sampler::new(gpu, nearest)?,
             lods: vec![FULL_DETAIL; scene.numbering.instances.len()],
+            coarse_lods: vec![FULL_DETAIL; scene.numbering.instances.len()],
             is_animated: scene.casters().any(|index| scene.moves(index)),
             pass,
             geometry,
@@ -100,9 +115,13 @@ impl Shadow {
         })
     }
 
-    /// By instance the LOD that is drawn: vertices must be there as finely.
-    pub(crate) fn lods(&self) -> impl Iterator<Item = usize> + '_ {
-        self.lods.iter().copied()
+    /// By instance the coarsest LOD that such casters have: vertices must be there as finely.
+    pub(crate) fn lods(&self, casters: Casters) -> impl Iterator<Item = usize> + '_ {
+        let lods = match casters {
+            Casters::Fine => &self.lods,
+            Casters::Coarse => &self.coarse_lods,
+        };
+        lods.iter().copied()
     }
 
     /// Writes the light as it is at `time` by the animation's timeline. No submitted work still reads it.
@@ -134,7 +153,8 @@ impl Shadow {
                 let is_drawn = (all || needs.has(number))
                     && scene.scene.instances[number].casts_shadow
                     && base(number).is_some();
-                is_drawn.then_some(self.lods[number])
+                let least = needs.lod(number).filter(|_| !all).unwrap_or(FULL_DETAIL);
+                is_drawn.then_some(self.lods[number].max(least))
             };
             let held = (0..self.held.len()).map(|number| casts(number).is_some());
             self.held.iter_mut().zip(held).for_each(|(held, now)| *held = now);
@@ -175,12 +195,12 @@ impl Shadow {
     }
 }
 
-/// By instance the coarsest LOD whose error a map cannot show.
-fn caster_lods(scene: &SceneGpu) -> Vec<usize> {
+/// By instance the coarsest LOD whose error is so many texels of the map at most.
+fn caster_lods(scene: &SceneGpu, error_texels: f32) -> Vec<usize> {
     let texel_m = scene.sun_view().map_or(0.0, |view| view.texel_m);
     let lod = |number: usize| {
         let instance = &scene.scene.instances[number];
-        let allowed_m = ERROR_TEXELS * texel_m / largest_scale(instance).max(f32::MIN_POSITIVE);
+        let allowed_m = error_texels * texel_m / largest_scale(instance).max(f32::MIN_POSITIVE);
         let casts = instance.casts_shadow;
         let lods = &scene.mesh(number).lods;
         match casts {

@@ -4,6 +4,7 @@ use rand::{Rng, SeedableRng, rngs::SmallRng};
 
 /// Of a display that limits no error.
 const PIXELS_PER_RADIAN: f32 = 1e6;
+const AS_ASKED: ErrorFactors = ErrorFactors { density: 1.0, measures: 1.0 };
 const ROOM: Room = Room { patches: 131_072, vertices: 131_072, triangles: 786_432 };
 
 /// LODs of which each has half the triangles of the one before, and twice its error.
@@ -28,7 +29,7 @@ fn update(detail: &mut Detail, pixels_per_metre: &[f32], share: f32) -> Vec<usiz
 }
 
 fn update_in(room: Room, detail: &mut Detail, pixels_per_metre: &[f32], share: f32) -> Vec<usize> {
-    detail.begin((room, usize::MAX), &Needed::all(pixels_per_metre.len()), pixels_per_metre, 1.0);
+    detail.begin((room, usize::MAX), &Needed::all(pixels_per_metre.len()), pixels_per_metre, AS_ASKED);
     let lods = shown(detail);
     for (instance, lod) in lods.iter().enumerate() {
         detail.switched(instance);
@@ -82,7 +83,12 @@ fn a_distance_that_trembles_by_a_tenth_does_not_change_the_lod() {
 fn lods_may_err_by_as_many_times_what_was_asked_for_as_they_are_told() {
     let lod = |asked_pixels: f32, error: f32| {
         let mut detail = Detail::new(asked_pixels, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 6)]);
-        detail.begin((ROOM, usize::MAX), &Needed::all(1), &[20.0], error);
+        detail.begin(
+            (ROOM, usize::MAX),
+            &Needed::all(1),
+            &[20.0],
+            ErrorFactors { density: error, measures: 1.0 },
+        );
         (shown(&detail), detail.allowed_pixels())
     };
     let [fine, asked, coarse] = [0.5, 1.0, 2.0].map(|error| lod(1.0, error));
@@ -94,11 +100,28 @@ fn lods_may_err_by_as_many_times_what_was_asked_for_as_they_are_told() {
 fn a_small_picture_keeps_its_shapes_however_much_error_is_allowed() {
     let allowed = |pixels_per_radian: f32, error: f32| {
         let mut detail = Detail::new(0.5, pixels_per_radian, vec![chain(1000, 0.01, 6)]);
-        detail.begin((ROOM, usize::MAX), &Needed::all(1), &[20.0], error);
+        detail.begin(
+            (ROOM, usize::MAX),
+            &Needed::all(1),
+            &[20.0],
+            ErrorFactors { density: error, measures: 1.0 },
+        );
         detail.allowed_pixels()
     };
     assert_eq!([700.0, 64.0, 1.0].map(|density| allowed(density, 32.0)), [16.0, MOST_ERROR_RAD * 64.0, 0.5]);
     assert_eq!(allowed(64.0, 2.0), 1.0, "usual errors are as they were");
+}
+
+#[test]
+fn measures_take_no_lod_of_so_few_patches_that_each_is_large() {
+    let lod = |patches: u32, density: f32, measures: f32| {
+        let mut detail = Detail::new(0.5, PIXELS_PER_RADIAN, vec![chain(patches, 0.01, 6)]);
+        detail.begin((ROOM, usize::MAX), &Needed::all(1), &[10.0], ErrorFactors { density, measures });
+        shown(&detail)[0]
+    };
+    assert_eq!([lod(100_000, 1.0, 1.0), lod(100_000, 1.0, 16.0)], [1, 5], "many patches");
+    assert_eq!([lod(1000, 1.0, 1.0), lod(1000, 1.0, 16.0)], [1, 1], "few patches");
+    assert_eq!(lod(1000, 2.0, 16.0), lod(1000, 2.0, 1.0), "density counts as ever");
 }
 
 #[test]
@@ -146,7 +169,7 @@ fn the_error_that_is_allowed_shrinks_again_when_there_is_room() {
     // All but two go.
     let few: Needed = (0..20).map(|instance| instance < 2).collect();
     for _ in 0..2 * RECOVER_AFTER_UPDATES {
-        detail.begin((room, usize::MAX), &few, &[100.0; 20], 1.0);
+        detail.begin((room, usize::MAX), &few, &[100.0; 20], AS_ASKED);
         for instance in [0, 1] {
             detail.switched(instance);
             let lod = shown(&detail)[instance];
@@ -173,11 +196,11 @@ fn a_lod_is_shown_once_it_was_brought_unless_nothing_of_the_other_is_seen() {
     update(&mut detail, &[1.0; 2], 0.5);
     let coarse = shown(&detail);
     for _ in 0..CHANGE_EVERY_UPDATES {
-        detail.begin((ROOM, usize::MAX), &Needed::all(2), &[1000.0; 2], 1.0);
+        detail.begin((ROOM, usize::MAX), &Needed::all(2), &[1000.0; 2], AS_ASKED);
         detail.measured(0, 5);
         detail.measured(1, 0);
     }
-    detail.begin((ROOM, usize::MAX), &Needed::all(2), &[1000.0; 2], 1.0);
+    detail.begin((ROOM, usize::MAX), &Needed::all(2), &[1000.0; 2], AS_ASKED);
     let lods: Vec<_> = detail.lods().flatten().collect();
     assert_eq!(lods[0], LodChoice { shown: coarse[0], next: Some(0) });
     assert_eq!(lods[1], LodChoice { shown: 0, next: None });
@@ -190,7 +213,7 @@ fn update_with_bytes(
     pixels_per_metre: &[f32],
     share: f32,
 ) -> Vec<LodChoice> {
-    detail.begin((ROOM, bytes), &Needed::all(pixels_per_metre.len()), pixels_per_metre, 1.0);
+    detail.begin((ROOM, bytes), &Needed::all(pixels_per_metre.len()), pixels_per_metre, AS_ASKED);
     let lods: Vec<LodChoice> = detail.lods().flatten().collect();
     for (instance, lod) in lods.iter().enumerate() {
         let seen = detail.costs[instance][lod.shown].patches as f32 * share;
