@@ -168,6 +168,41 @@ fn a_server_that_announces_itself_is_found_without_its_address() {
     alone.ends_well();
 }
 
+/// Makes a network of this process alone, with IPv6 and many listeners, and runs a program in it. Loopback carries no multicast by IPv6.
+const IN_A_NETWORK: &str =
+    "(ip link set lo up && ip link add one type veth peer name other && ip link set one up &&
+    ip link set other up && ip -6 addr add fd05::1/64 dev one nodad) || exit 75; exec \"$0\" \"$@\"";
+
+#[test]
+fn a_server_that_listens_by_ipv6_alone_is_found() {
+    const IS_INSIDE: &str = "SHADECAST_TEST_IN_A_NETWORK";
+    const NAME: &str = "a_server_that_listens_by_ipv6_alone_is_found";
+    if std::env::var_os(IS_INSIDE).is_none() {
+        let own = std::env::current_exe().expect("this program");
+        let mut inside = Command::new("unshare");
+        inside.args(["--map-root-user", "--net", "sh", "-c", IN_A_NETWORK]).arg(own);
+        inside.args([NAME, "--exact", "--nocapture"]).env(IS_INSIDE, "1");
+        let output = inside
+            .output()
+            .map(|output| (output.status.code(), String::from_utf8_lossy(&output.stderr).into_owned()));
+        return match output {
+            Ok((Some(0), _)) => {}
+            Ok((Some(101), said)) => panic!("{said}"),
+            other => eprintln!("SKIPPED: no network of its own for a test: {other:?}"),
+        };
+    }
+    let (address, server, fingerprint) = mute_server(74, "[fd05::1]:0".parse().expect("an address"));
+    let announcement = Announcement::start("a server by IPv6", address, fingerprint).expect("multicast");
+    let stage = Stage::new();
+    let id = fingerprint.to_string();
+    let mut client = stage.client(&["--connect", "find", "--fingerprint", &id], std::iter::empty());
+    client.has_said(&format!("Found a server by IPv6 at {address}"));
+    client.has_said(&format!("first connection to a server by IPv6 ({address})"));
+    client.signal("-INT");
+    client.ends_well();
+    drop((announcement, server));
+}
+
 /// Others may announce themselves here too: whichever is marked, the trigger takes it, and takes another where that one has gone.
 #[test]
 fn of_several_servers_the_trigger_takes_the_one_that_is_marked() {

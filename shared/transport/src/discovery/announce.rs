@@ -32,6 +32,9 @@ impl Announcement {
         let (ty, host) = (format!("{SERVICE}.local."), format!("{}.local.", host_label(name)));
         let ip = address.ip();
         let info = if ip.is_unspecified() {
+            if ip.is_ipv4() {
+                daemon.disable_interface(IfKind::IPv6)?;
+            }
             ServiceInfo::new(&ty, name, &host, "", address.port(), &text[..])?.enable_addr_auto()
         } else {
             daemon.disable_interface(IfKind::All)?;

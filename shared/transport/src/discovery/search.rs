@@ -5,11 +5,15 @@ use super::packet::{FoundServer, MAX_ADDRESSES, question, servers};
 use crate::endpoint::random_bytes;
 use socket2::{Domain, Protocol, Socket, Type};
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, SocketAddrV4, UdpSocket};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, SocketAddrV6, UdpSocket};
 use std::time::{Duration, Instant};
 
-/// Where questions go.
-const GROUP: SocketAddrV4 = SocketAddrV4::new(Ipv4Addr::new(224, 0, 0, 251), 5353);
+/// Where questions go, by the version of IP.
+const GROUP_V4: Ipv4Addr = Ipv4Addr::new(224, 0, 0, 251);
+const GROUP_V6: Ipv6Addr = Ipv6Addr::new(0xff02, 0, 0, 0, 0, 0, 0, 0xfb);
+const PORT: u16 = 5353;
+/// The farthest that multicast DNS goes: RFC 6762, 11.
+const HOPS: u32 = 255;
 /// Datagrams of a search that are looked at; a flood ends it.
 const MAX_DATAGRAMS: usize = 256;
 /// Servers that a search finds at most: more than a household has, and than anybody chooses from.
@@ -19,7 +23,7 @@ const TURN: Duration = Duration::from_millis(20);
 /// The largest answer, bytes.
 const MAX_DATAGRAM_BYTES: usize = 9000;
 
-/// Asks on every IPv4 network of this machine, and waits `patience` for answers: each server once.
+/// Asks on every network of this machine, by IPv4 and IPv6, and waits `patience` for answers: each server once.
 ///
 /// # Errors
 /// There is no network to ask on.
@@ -83,17 +87,10 @@ fn add(found: &mut Vec<FoundServer>, server: FoundServer) {
 
 /// A socket on each network that has taken the question.
 fn ask(question: &[u8]) -> io::Result<Vec<UdpSocket>> {
-    let interfaces = if_addrs::get_if_addrs()?;
-    let mut last = io::Error::new(io::ErrorKind::NotFound, "this machine has no IPv4 network");
+    let mut last = io::Error::new(io::ErrorKind::NotFound, "this machine has no network");
     let mut sockets = Vec::new();
-    for interface in interfaces {
-        let IpAddr::V4(address) = interface.ip() else { continue };
-        let asked = || {
-            let socket = socket_on(address)?;
-            socket.send_to(question, GROUP)?;
-            Ok(socket)
-        };
-        match asked() {
+    for interface in if_addrs::get_if_addrs()? {
+        match ask_on(interface.ip(), interface.index.unwrap_or(0), question) {
             Ok(socket) => sockets.push(socket),
             Err(error) => last = error,
         }
@@ -101,14 +98,28 @@ fn ask(question: &[u8]) -> io::Result<Vec<UdpSocket>> {
     if sockets.is_empty() { Err(last) } else { Ok(sockets) }
 }
 
-fn socket_on(address: Ipv4Addr) -> io::Result<UdpSocket> {
-    let socket = Socket::new(Domain::IPV4, Type::DGRAM, Some(Protocol::UDP))?;
-    socket.bind(&SocketAddrV4::new(address, 0).into())?;
-    socket.set_multicast_if_v4(&address)?;
-    socket.set_multicast_ttl_v4(255)?;
+/// A socket at an address of the machine's interface of that number, which has sent the question.
+fn ask_on(address: IpAddr, interface: u32, question: &[u8]) -> io::Result<UdpSocket> {
+    let socket = Socket::new(Domain::for_address((address, 0).into()), Type::DGRAM, Some(Protocol::UDP))?;
     // A server on this machine hears it too.
-    socket.set_multicast_loop_v4(true)?;
+    let (own, group): (SocketAddr, SocketAddr) = match address {
+        IpAddr::V4(address) => {
+            socket.set_multicast_if_v4(&address)?;
+            socket.set_multicast_ttl_v4(HOPS)?;
+            socket.set_multicast_loop_v4(true)?;
+            ((address, 0).into(), (GROUP_V4, PORT).into())
+        }
+        IpAddr::V6(address) => {
+            socket.set_multicast_if_v6(interface)?;
+            socket.set_multicast_hops_v6(HOPS)?;
+            socket.set_multicast_loop_v6(true)?;
+            let on_interface = |ip, port| SocketAddrV6::new(ip, port, 0, interface).into();
+            (on_interface(address, 0), on_interface(GROUP_V6, PORT))
+        }
+    };
+    socket.bind(&own.into())?;
     socket.set_read_timeout(Some(TURN))?;
+    socket.send_to(question, &group.into())?;
     Ok(socket.into())
 }
 
@@ -116,7 +127,6 @@ fn socket_on(address: Ipv4Addr) -> io::Result<UdpSocket> {
 mod tests {
     use super::*;
     use std::cell::Cell;
-    use std::net::SocketAddr;
 
     /// A socket of a network that is gone.
     #[derive(Default)]
