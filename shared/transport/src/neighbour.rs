@@ -41,6 +41,7 @@ pub struct Neighbour {
     is_connecting: bool,
     peer: Option<PeerId>,
     arrived_bytes: u64,
+    pub(crate) delivered_bytes: u64,
 }
 
 impl Neighbour {
@@ -64,12 +65,18 @@ impl Neighbour {
             is_connecting: false,
             peer: None,
             arrived_bytes: 0,
+            delivered_bytes: 0,
         })
     }
 
     /// Bytes of streams that have arrived whole.
     pub fn arrived_bytes(&self) -> u64 {
         self.arrived_bytes
+    }
+
+    /// Bytes of datagrams that the link has delivered to its client.
+    pub fn delivered_bytes(&self) -> u64 {
+        self.delivered_bytes
     }
 
     /// When something happens next by itself, nanoseconds.

@@ -177,7 +177,10 @@ impl Pair {
             let neighbour = neighbour.and_then(|number| self.neighbours.get_mut(number));
             let (end, from) = match (delivery.direction, neighbour) {
                 (Direction::ToServer, Some(neighbour)) => (&mut neighbour.server, client_addr),
-                (Direction::ToClient, Some(neighbour)) => (&mut neighbour.client, SERVER_ADDR),
+                (Direction::ToClient, Some(neighbour)) => {
+                    neighbour.delivered_bytes += delivery.bytes.len() as u64;
+                    (&mut neighbour.client, SERVER_ADDR)
+                }
                 (Direction::ToServer, None) => (&mut self.server, client_addr),
                 (Direction::ToClient, None) if client_addr != self.client_addr => continue,
                 (Direction::ToClient, None) => (&mut self.client, SERVER_ADDR),

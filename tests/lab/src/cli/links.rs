@@ -9,7 +9,7 @@ use shadecast_lab::experiments::links;
 pub(super) struct LinksArgs {
     #[command(flatten)]
     run: RunArgs,
-    /// Measures only links whose name begins so: steps, LAN, "20 ms", nothing, another, restart
+    /// Measures only links whose name begins so: steps, LAN, "20 ms", nothing, another, restart, beside
     #[arg(long, default_value = "")]
     only: String,
 }
@@ -20,5 +20,8 @@ pub(super) fn run(LinksArgs { run, only }: LinksArgs) -> anyhow::Result<()> {
     anyhow::ensure!(!report.rows.is_empty(), "no link's name begins with \"{only}\"");
     let path = out.join("links.json");
     shadecast_system::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())
-        .with_context(|| format!("writing {}", path.display()))
+        .with_context(|| format!("writing {}", path.display()))?;
+    let misses = report.missed_bars();
+    anyhow::ensure!(misses == 0, "{misses} bars are missed: the rows with MISSED");
+    Ok(())
 }

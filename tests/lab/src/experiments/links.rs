@@ -1,5 +1,5 @@
 //! `shadecast-lab links`: links that are bad in one way each, in virtual time. What is queued before the bottleneck, how old pictures are,
-//! and how long the longest pause is.
+//! and how long the longest pause is, held against bars.
 //!
 //! A run's options enter; their link is replaced. A table leaves. Nothing here knows pictures' quality.
 
@@ -12,6 +12,7 @@ use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
 use shadecast_protocol::ids::UpdateId;
+use shadecast_transport::neighbour::{Neighbour, Traffic};
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::fmt;
 use std::net::SocketAddr;
@@ -36,6 +37,80 @@ const DOWN_S: f64 = 2.0;
 /// Another port of the same router, and another network.
 const ADDRESSES: [(&str, &str); 2] =
     [("another port", "10.0.0.2:50001"), ("another network", "192.168.7.9:40000")];
+
+/// Those who share a link of 20 Mbit/s, from so long after its first use on, seconds.
+const NEIGHBOURS: [(&str, Traffic); 2] =
+    [("beside a viewer", Traffic::Pictures(20.0)), ("beside a download", Traffic::Download)];
+const NEIGHBOUR_AT_S: f64 = 4.0;
+/// They share it for so long, and figures count from so much later on, seconds.
+const SHARED_S: f64 = 30.0;
+const SHARED_SETTLING_S: f64 = 8.0;
+
+/// Short bursts of loss: a part of the packets for so long, once in so long, seconds.
+const BURST_LOSS: f64 = 0.5;
+const BURST_S: f64 = 0.04;
+const BURST_EVERY_S: f64 = 0.7;
+
+/// Bars. Of a link that changes: its queue, the age of pictures, pauses, milliseconds.
+const QUEUE_BAR_MS: f64 = 60.0;
+const AGE_BAR_MS: f64 = 400.0;
+const PAUSE_BAR_MS: f64 = 1000.0;
+/// Part of a better link's rate that is used.
+const RATE_BAR: f64 = 0.8;
+/// Pauses on a link that loses packets, and after an outage: these and a round trip, milliseconds.
+const LOSS_PAUSE_BAR_MS: f64 = 250.0;
+const OUTAGE_PAUSE_BAR_MS: f64 = 300.0;
+/// Picture gap after a change of address, and after a server's restart, milliseconds.
+const ADDRESS_PAUSE_BAR_MS: f64 = 300.0;
+const RESTART_PAUSE_BAR_MS: f64 = 1000.0;
+/// Part of an equal share, or of what is taken alone where that is less.
+const SHARE_BAR: f64 = 0.75;
+
+/// What a row must reach; what is `None` has no bar.
+#[derive(Clone, Debug, Default)]
+struct RowBars {
+    queue_median_ms: Option<f64>,
+    age_worst_ms: Option<f64>,
+    pause_ms: Option<f64>,
+    /// At least this part of the rate of another row.
+    rate_of: Option<(f64, String)>,
+    /// No pictures that need no other.
+    no_refresh: bool,
+    /// Both take this part at least of an equal share, or of what the other row says that it takes alone.
+    share_of: Option<(f64, String)>,
+}
+
+impl RowBars {
+    /// The bars that `row` misses, in words. Rows before it are `others`; what was not measured is not held against it.
+    fn misses(&self, row: &LinkRow, others: &[LinkRow]) -> Vec<String> {
+        let most = [
+            ("queue at the median", row.queue_median_ms, self.queue_median_ms),
+            ("age at worst", row.age_worst_ms, self.age_worst_ms),
+            ("pause", row.longest_pause_ms, self.pause_ms),
+        ];
+        let over = most.into_iter().filter_map(|(what, ms, bar_ms)| {
+            let bar_ms = bar_ms.filter(|bar_ms| ms > *bar_ms)?;
+            Some(format!("{what} {ms:.0} ms, bar {bar_ms:.0} ms"))
+        });
+        let rate =
+            |name: &str| others.iter().find(|other| other.link == name).map(|row| row.delivered_mbit_s);
+        let slow = self.rate_of.iter().filter_map(|(part, other)| {
+            let bar = part * rate(other)?;
+            let is_missed = row.delivered_mbit_s < bar;
+            is_missed.then(|| format!("{:.1} Mbit/s, bar {bar:.1} Mbit/s", row.delivered_mbit_s))
+        });
+        let refreshed =
+            (self.no_refresh && row.refreshes > 0).then(|| format!("{} refreshes", row.refreshes));
+        let unfair = self.share_of.iter().filter_map(|(part, alone)| {
+            let (own, rival) = (row.delivered_mbit_s, row.others_mbit_s?);
+            let equal = (own + rival) / 2.0;
+            let [own_share, rival_share] = [own / equal.min(rate(alone)?), rival / equal];
+            let is_missed = own_share.min(rival_share) < *part;
+            is_missed.then(|| format!("{own_share:.2} and {rival_share:.2} of their share, bar {part}"))
+        });
+        over.chain(slow).chain(refreshed).chain(unfair).collect()
+    }
+}
 
 /// All links.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -69,10 +144,19 @@ pub struct LinkRow {
     pub age_median_ms: f64,
     /// The most.
     pub age_worst_ms: f64,
-    /// What the link delivered, Mbit/s.
+    /// What the link delivered, Mbit/s; without what it delivered to others.
     pub delivered_mbit_s: f64,
+    /// What it delivered to others, Mbit/s.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub others_mbit_s: Option<f64>,
     /// Packets that found the queue full.
     pub dropped: u64,
+    /// Pictures that need no other, which the server sent.
+    #[serde(default)]
+    pub refreshes: u64,
+    /// The bars that it misses.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub misses: Vec<String>,
 }
 
 /// What one display frame shows.
@@ -84,16 +168,33 @@ struct Look {
     age_ms: Option<f64>,
     queue_ms: f64,
     delivered_bytes: u64,
+    others_bytes: u64,
     dropped: u64,
+    refreshes: u64,
 }
 
-/// A link with the times at which it changes, seconds.
+/// A part of a run: since when, seconds, what it is called, and what it must reach.
+struct Part {
+    from_s: f64,
+    name: String,
+    bars: RowBars,
+}
+
+impl Part {
+    fn new(from_s: f64, name: impl Into<String>, bars: RowBars) -> Self {
+        Self { from_s, name: name.into(), bars }
+    }
+}
+
+/// A link with the parts of a run on it.
 struct Case {
     name: String,
     schedule: LinkSchedule,
-    changes_s: Vec<(f64, String)>,
+    parts: Vec<Part>,
     /// What happens after [`OUTAGE_AT_S`].
     happens: Option<Happens>,
+    /// Who takes it too, from [`NEIGHBOUR_AT_S`] on.
+    neighbour: Option<Traffic>,
     seconds: f64,
 }
 
@@ -107,24 +208,45 @@ enum Happens {
 }
 
 impl Case {
-    fn new(name: &str, schedule: LinkSchedule, changes_s: Vec<(f64, String)>, seconds: f64) -> Self {
-        Self { name: name.to_owned(), schedule, changes_s, happens: None, seconds }
+    fn new(name: &str, schedule: LinkSchedule, parts: Vec<Part>, seconds: f64) -> Self {
+        Self { name: name.to_owned(), schedule, parts, happens: None, neighbour: None, seconds }
     }
 
-    /// A usual link that carries nothing for `outage_s`, if that is more than 0.
-    fn with_outage(name: &str, outage_s: f64) -> Result<Self> {
-        let usual =
-            LinkProfile { queue_ns: ROUTER_QUEUE.as_nanos() as i64, ..profile("latency=20ms,rate=100mbit")? };
+    /// A usual link that carries nothing for `outage_s`, if that is more than 0. The pause after it, or after what happens instead, may
+    /// be `pause_ms` long.
+    fn with_outage(name: &str, outage_s: f64, pause_ms: f64) -> Result<Self> {
+        let usual = queued("latency=20ms,rate=100mbit")?;
         let schedule = match outage_s {
             0.0 => usual.into(),
             _ => LinkSchedule::interrupted(usual, link_ns(OUTAGE_AT_S), (outage_s * 1e9) as i64),
         };
-        let back_s = OUTAGE_AT_S + outage_s;
-        let mut changes_s = vec![(0.0, format!("before: {name}")), (OUTAGE_AT_S, name.to_owned())];
+        let bars = RowBars { pause_ms: Some(pause_ms), ..RowBars::default() };
+        let (back_s, before) = (OUTAGE_AT_S + outage_s, format!("before: {name}"));
+        let mut parts = vec![Part::new(0.0, before, RowBars::default())];
         if outage_s > 0.0 {
-            changes_s.push((back_s, format!("after: {name}")));
+            parts.push(Part::new(OUTAGE_AT_S, name, RowBars::default()));
+            parts.push(Part::new(back_s, format!("after: {name}"), bars));
+        } else {
+            parts.push(Part::new(OUTAGE_AT_S, name, bars));
         }
-        Ok(Self::new(name, schedule, changes_s, back_s + AFTER_OUTAGE_S))
+        Ok(Self::new(name, schedule, parts, back_s + AFTER_OUTAGE_S))
+    }
+
+    /// A link of 20 Mbit/s that somebody else takes too, from [`NEIGHBOUR_AT_S`] on.
+    fn beside(name: &str, traffic: Traffic) -> Result<Self> {
+        let alone = format!("alone: {name}");
+        let parts = vec![
+            Part::new(0.0, alone.clone(), RowBars::default()),
+            Part::new(NEIGHBOUR_AT_S, format!("begins: {name}"), RowBars::default()),
+            Part::new(
+                NEIGHBOUR_AT_S + SHARED_SETTLING_S,
+                name,
+                RowBars { share_of: Some((SHARE_BAR, alone)), ..RowBars::default() },
+            ),
+        ];
+        let link = queued("latency=10ms,rate=20mbit")?.into();
+        let case = Self::new(name, link, parts, NEIGHBOUR_AT_S + SHARED_S);
+        Ok(Self { neighbour: Some(traffic), ..case })
     }
 }
 
@@ -132,46 +254,85 @@ fn profile(text: &str) -> Result<LinkProfile> {
     Ok(text.parse::<LinkProfile>()?)
 }
 
+/// Behind a home router.
+fn queued(text: &str) -> Result<LinkProfile> {
+    Ok(LinkProfile { queue_ns: ROUTER_QUEUE.as_nanos() as i64, ..profile(text)? })
+}
+
 /// Seconds after the client's start as the link's time, which begins with the virtual clock.
 fn link_ns(seconds: f64) -> i64 {
     if seconds == 0.0 { 0 } else { START_NS + (seconds * 1e9) as i64 }
 }
 
-/// The links that are measured over `seconds` each.
-fn cases(seconds: f64) -> Result<Vec<Case>> {
-    let queued = |text: &str| -> Result<LinkProfile> {
-        Ok(LinkProfile { queue_ns: ROUTER_QUEUE.as_nanos() as i64, ..profile(text)? })
-    };
-    let whole = |name: &str, profile: LinkProfile| {
-        Case::new(name, profile.into(), vec![(0.0, name.to_owned())], seconds)
-    };
-    let mut steps = Vec::new();
-    let mut changes_s = Vec::new();
+/// A link whose rate changes between [`STEPS_MBIT`].
+fn steps(seconds: f64) -> Result<Case> {
+    let (mut steps, mut parts) = (Vec::new(), Vec::new());
     for (number, rate) in STEPS_MBIT.iter().enumerate() {
         let at_s = seconds * number as f64 / STEPS_MBIT.len() as f64;
+        let has_risen = number > 0 && *rate > STEPS_MBIT[number - 1];
+        let rate_of = has_risen.then(|| (RATE_BAR, format!("{} Mbit/s", STEPS_MBIT[0])));
+        let bars = RowBars {
+            queue_median_ms: Some(QUEUE_BAR_MS),
+            age_worst_ms: Some(AGE_BAR_MS),
+            pause_ms: Some(PAUSE_BAR_MS),
+            rate_of,
+            ..RowBars::default()
+        };
         steps.push((link_ns(at_s), queued(&format!("latency=10ms,rate={rate}mbit"))?));
-        changes_s.push((at_s, format!("{rate} Mbit/s")));
+        parts.push(Part::new(at_s, format!("{rate} Mbit/s"), bars));
     }
-    let mut cases = vec![Case::new("steps", LinkSchedule::of_steps(steps), changes_s, seconds)];
-    cases.push(whole("LAN", queued("latency=3ms,rate=100mbit")?));
-    cases.push(whole("LAN, jitter 40 ms", queued("latency=23ms,jitter=20ms,rate=100mbit")?));
-    cases.push(whole("LAN, reordering 2 %", queued("latency=3ms,jitter=1ms,reorder=2%,rate=100mbit")?));
+    Ok(Case::new("steps", LinkSchedule::of_steps(steps), parts, seconds))
+}
+
+/// A local network, as it should be and not.
+fn lans(seconds: f64) -> Result<Vec<Case>> {
+    let good = queued("latency=3ms,rate=100mbit")?;
+    let mut bursts = vec![(0, good.clone())];
+    for burst in 1..(seconds / BURST_EVERY_S) as u32 {
+        let at_s = f64::from(burst) * BURST_EVERY_S;
+        bursts.push((link_ns(at_s), LinkProfile { loss: BURST_LOSS, ..good.clone() }));
+        bursts.push((link_ns(at_s + BURST_S), good.clone()));
+    }
+    let bad =
+        || RowBars { rate_of: Some((RATE_BAR, "LAN".to_owned())), no_refresh: true, ..RowBars::default() };
+    let case = |name: &str, schedule: LinkSchedule, bars: RowBars| {
+        Case::new(name, schedule, vec![Part::new(0.0, name, bars)], seconds)
+    };
+    Ok(vec![
+        case("LAN", good.into(), RowBars::default()),
+        case("LAN, jitter 40 ms", queued("latency=23ms,jitter=20ms,rate=100mbit")?.into(), bad()),
+        case("LAN, reordering 2 %", queued("latency=3ms,jitter=1ms,reorder=2%,rate=100mbit")?.into(), bad()),
+        case("LAN, bursts of loss", LinkSchedule::of_steps(bursts), bad()),
+    ])
+}
+
+/// The links that are measured over `seconds` each.
+fn cases(seconds: f64) -> Result<Vec<Case>> {
+    let mut cases = vec![steps(seconds)?];
+    cases.extend(lans(seconds)?);
     for latency in LATENCIES_MS {
         for loss in LOSSES {
             let name = format!("{latency} ms, {:.0} % lost", loss * 100.0);
-            let link = queued(&format!("latency={latency}ms,rate=100mbit"))?;
-            cases.push(whole(&name, LinkProfile { loss, ..link }));
+            let link = LinkProfile { loss, ..queued(&format!("latency={latency}ms,rate=100mbit"))? };
+            let pause_ms = LOSS_PAUSE_BAR_MS + 2.0 * latency as f64;
+            let bars = RowBars { pause_ms: Some(pause_ms), ..RowBars::default() };
+            cases.push(Case::new(&name, link.into(), vec![Part::new(0.0, &*name, bars)], seconds));
         }
     }
     for outage_s in OUTAGES_S {
-        cases.push(Case::with_outage(&format!("nothing for {outage_s} s"), outage_s)?);
+        let round_trip_ms = 40.0;
+        let pause_ms = round_trip_ms + OUTAGE_PAUSE_BAR_MS;
+        cases.push(Case::with_outage(&format!("nothing for {outage_s} s"), outage_s, pause_ms)?);
     }
     for (name, address) in ADDRESSES {
         let happens = Some(Happens::Move(address.parse()?));
-        cases.push(Case { happens, ..Case::with_outage(name, 0.0)? });
+        cases.push(Case { happens, ..Case::with_outage(name, 0.0, ADDRESS_PAUSE_BAR_MS)? });
     }
-    let name = format!("restart, {DOWN_S} s");
-    cases.push(Case { happens: Some(Happens::Restart), ..Case::with_outage(&name, DOWN_S)? });
+    let restart = Case::with_outage(&format!("restart, {DOWN_S} s"), DOWN_S, RESTART_PAUSE_BAR_MS)?;
+    cases.push(Case { happens: Some(Happens::Restart), ..restart });
+    for (name, traffic) in NEIGHBOURS {
+        cases.push(Case::beside(name, traffic)?);
+    }
     Ok(cases)
 }
 
@@ -184,10 +345,11 @@ pub fn measure(options: &RunOptions, scene: &str, only: &str) -> Result<Links> {
     for case in cases(options.seconds)?.into_iter().filter(|case| case.name.starts_with(only)) {
         let (link, seconds) = (case.schedule.clone(), case.seconds);
         let options = RunOptions { link, seconds, reconnects: true, ..options.clone() };
-        let looks = looks(&options, case.happens)?;
-        for (number, (from_s, name)) in case.changes_s.iter().enumerate() {
-            let to_s = case.changes_s.get(number + 1).map_or(seconds, |(at_s, _)| *at_s);
-            let row = row(name, [*from_s, to_s], &looks);
+        let looks = looks(&options, case.happens, case.neighbour)?;
+        for (number, Part { from_s, name, bars }) in case.parts.iter().enumerate() {
+            let to_s = case.parts.get(number + 1).map_or(seconds, |next| next.from_s);
+            let mut row = row(name, [*from_s, to_s], &looks);
+            row.misses = bars.misses(&row, &links.rows);
             println!("{row}");
             links.rows.push(row);
         }
@@ -196,11 +358,18 @@ pub fn measure(options: &RunOptions, scene: &str, only: &str) -> Result<Links> {
 }
 
 /// Runs `options`, and looks at each display frame. The updates of a server that was restarted have no ages.
-fn looks(options: &RunOptions, mut happens: Option<Happens>) -> Result<Vec<Look>> {
+fn looks(
+    options: &RunOptions,
+    mut happens: Option<Happens>,
+    neighbour: Option<Traffic>,
+) -> Result<Vec<Look>> {
     let is_restarted = matches!(happens, Some(Happens::Restart));
     let config = MockConfig { capture_dir: None, ..mock_config(options, ClockKind::Virtual, 0)? };
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(options, &config) }?;
+    if let Some(traffic) = neighbour {
+        lab.add_neighbour(Neighbour::new(traffic, link_ns(NEIGHBOUR_AT_S), options.seed + 1)?);
+    }
     let mut shown: Vec<(Look, i64, Option<UpdateId>)> = Vec::new();
     while let Step::Frame(frame) = lab.step()? {
         let is_due = (frame.display_time.0 - START_NS) as f64 * 1e-9 >= OUTAGE_AT_S;
@@ -215,8 +384,10 @@ fn looks(options: &RunOptions, mut happens: Option<Happens>) -> Result<Vec<Look>
             is_new: frame.is_new,
             age_ms: None,
             queue_ms: lab.queue_ns() as f64 * 1e-6,
-            delivered_bytes: counts.delivered_bytes,
+            others_bytes: lab.neighbours_bytes(),
+            delivered_bytes: counts.delivered_bytes.saturating_sub(lab.neighbours_bytes()),
             dropped: counts.dropped,
+            refreshes: lab.refreshes(),
         };
         shown.push((look, frame.display_time.0, frame.update.filter(|_| !is_restarted)));
     }
@@ -244,6 +415,9 @@ fn row(name: &str, [from_s, to_s]: [f64; 2], looks: &[Look]) -> LinkRow {
         last.saturating_sub(first)
     };
     let settled_length_s = (to_s - settled_s).max(1e-3);
+    let mbit_s = |bytes: u64| bytes as f64 * 8e-6 / settled_length_s;
+    let (own_mbit_s, others_mbit_s) =
+        (mbit_s(counted(|look| look.delivered_bytes)), mbit_s(counted(|look| look.others_bytes)));
     LinkRow {
         link: name.to_owned(),
         from_s: settled_s,
@@ -254,8 +428,18 @@ fn row(name: &str, [from_s, to_s]: [f64; 2], looks: &[Look]) -> LinkRow {
         queue_worst_ms: worst(&mut settled().map(|look| look.queue_ms)),
         age_median_ms: median(ages()),
         age_worst_ms: worst(&mut ages()),
-        delivered_mbit_s: counted(|look| look.delivered_bytes) as f64 * 8e-6 / settled_length_s,
+        delivered_mbit_s: own_mbit_s,
+        others_mbit_s: (others_mbit_s > 0.0).then_some(others_mbit_s),
         dropped: counted(|look| look.dropped),
+        refreshes: counted(|look| look.refreshes),
+        misses: Vec::new(),
+    }
+}
+
+impl Links {
+    /// How many bars all rows miss.
+    pub fn missed_bars(&self) -> usize {
+        self.rows.iter().map(|row| row.misses.len()).sum()
     }
 }
 
@@ -281,7 +465,14 @@ impl fmt::Display for LinkRow {
             self.queue_worst_ms,
             self.delivered_mbit_s,
             self.dropped,
-        )
+        )?;
+        if let Some(others) = self.others_mbit_s {
+            write!(f, ", others {others:.1} Mbit/s")?;
+        }
+        if self.refreshes > 0 {
+            write!(f, ", {} refreshes", self.refreshes)?;
+        }
+        self.misses.iter().try_for_each(|miss| write!(f, "; MISSED: {miss}"))
     }
 }
 
@@ -296,7 +487,9 @@ mod tests {
             age_ms: Some(at_s),
             queue_ms: 2.0,
             delivered_bytes: (at_s * 1e6) as u64,
+            others_bytes: (at_s * 3e6) as u64,
             dropped: 0,
+            refreshes: 0,
         }
     }
 
@@ -309,6 +502,26 @@ mod tests {
         assert!((row.pictures_per_s - 5.0).abs() < 0.1, "{row:?}");
         assert!((row.age_worst_ms - 9.9).abs() < 1e-6 && row.queue_median_ms == 2.0);
         assert!((row.delivered_mbit_s - 8.0).abs() < 0.5, "{row:?}");
+        assert!(row.others_mbit_s.is_some_and(|others| (others - 24.0).abs() < 1.0), "{row:?}");
+    }
+
+    #[test]
+    fn a_row_says_which_bars_it_misses() {
+        let looks: Vec<Look> = (0..100).map(|n| look(f64::from(n) / 10.0, n % 2 == 0)).collect();
+        let [alone, shared] = ["alone", "shared"].map(|name| row(name, [0.0, 10.0], &looks));
+        let misses = |bars: RowBars| bars.misses(&shared, std::slice::from_ref(&alone)).len();
+        let pause = |ms: f64| RowBars { pause_ms: Some(ms), ..RowBars::default() };
+        assert_eq!([misses(pause(150.0)), misses(pause(250.0))], [1, 0]);
+        let rate = |part: f64| RowBars { rate_of: Some((part, "alone".to_owned())), ..RowBars::default() };
+        assert_eq!([misses(rate(1.1)), misses(rate(0.9))], [1, 0]);
+        let share = |part: f64| RowBars { share_of: Some((part, "alone".to_owned())), ..RowBars::default() };
+        // 8 Mbit/s of 32 are all that it takes alone.
+        assert_eq!([misses(share(1.1)), misses(share(0.9))], [1, 0]);
+        let unknown = RowBars { rate_of: Some((9.0, "not measured".to_owned())), ..RowBars::default() };
+        assert_eq!(misses(unknown), 0);
+        let refreshed = LinkRow { refreshes: 2, ..shared.clone() };
+        let bars = RowBars { no_refresh: true, ..RowBars::default() };
+        assert_eq!([bars.misses(&shared, &[]).len(), bars.misses(&refreshed, &[]).len()], [0, 1]);
     }
 
     #[test]

@@ -57,6 +57,7 @@ use shadecast_trace::Trace;
 use shadecast_transport::endpoint::{Endpoint, EndpointConfig};
 use shadecast_transport::event::{Event, PeerId};
 use shadecast_transport::link::LinkCounts;
+use shadecast_transport::neighbour::Neighbour;
 use shadecast_transport::{Direction, ExpectedIdentity, LinkSchedule, Pair, ServerIdentity};
 use std::borrow::Cow;
 use std::convert::Infallible;
@@ -436,6 +437,21 @@ impl Lab {
     /// What became of the datagrams to the first viewer.
     pub fn link_counts(&self) -> LinkCounts {
         self.lines[0].pair.link().counts(Direction::ToClient)
+    }
+
+    /// Somebody else takes the first viewer's link from now on.
+    pub fn add_neighbour(&mut self, neighbour: Neighbour) {
+        self.lines[0].pair.add_neighbour(neighbour);
+    }
+
+    /// Pictures that need no other, which the first viewer was sent.
+    pub fn refreshes(&self) -> u64 {
+        self.lines[0].seat.sent.refreshes
+    }
+
+    /// Bytes of datagrams that the first viewer's link has delivered to others.
+    pub fn neighbours_bytes(&self) -> u64 {
+        self.lines[0].pair.neighbours().iter().map(Neighbour::delivered_bytes).sum()
     }
 
     /// The client that ships has another address from now on.

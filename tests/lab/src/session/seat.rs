@@ -32,6 +32,8 @@ use std::time::Duration;
 pub struct Sent {
     /// Updates made.
     pub updates: u64,
+    /// Pictures that need no other.
+    pub refreshes: u64,
     /// Quantisers of all pictures, summed.
     pub qp_sum: u64,
     /// Texels that were asked for a pixel, summed over updates.
@@ -396,6 +398,7 @@ impl Seat {
     fn send_picture(&mut self, header: PictureHeader, out: Out, now_ns: i64) {
         let Some(viewer) = &mut self.viewer else { return };
         let encode_s = self.encode_ns as f64 * 1e-9;
+        self.sent.refreshes += u64::from(header.is_refresh);
         let picture = SentPicture { stream_bytes: out.bytes(), is_refresh: header.is_refresh, encode_s };
         viewer.sent_picture(header.update, picture, now_ns);
         self.streams.push_back(out);
