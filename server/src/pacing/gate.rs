@@ -55,15 +55,17 @@ pub struct Shortfall {
     pub needs_mbit_s: f64,
     /// Updates a second that are wanted.
     pub wanted_hz: f64,
+    /// The quantiser of pictures, 0 to 51.
+    pub qp: u8,
 }
 
 impl std::fmt::Display for Shortfall {
     fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
-        let Self { carries_mbit_s, needs_mbit_s, wanted_hz } = self;
+        let Self { carries_mbit_s, needs_mbit_s, wanted_hz, qp } = self;
         let shown_hz = wanted_hz * carries_mbit_s / needs_mbit_s;
         write!(
             f,
-            "the link carries {carries_mbit_s:.1} of {needs_mbit_s:.1} Mbit/s that the scene needs: about {shown_hz:.0} of {wanted_hz:.0} updates a second are sent"
+            "the link carries {carries_mbit_s:.1} of {needs_mbit_s:.1} Mbit/s that the scene needs: about {shown_hz:.0} of {wanted_hz:.0} updates a second are sent, at quantiser {qp} of 51"
         )
     }
 }
@@ -156,8 +158,8 @@ impl UpdateGate {
         Share::of(way, self.rate_bytes_s(now_ns))
     }
 
-    /// What to tell the person, now and then, where updates are withheld.
-    pub(crate) fn shortfall(&mut self, now_ns: i64) -> Option<Shortfall> {
+    /// What to tell the person, now and then, where updates are withheld; pictures have this quantiser.
+    pub(crate) fn shortfall(&mut self, qp: u8, now_ns: i64) -> Option<Shortfall> {
         let carries = self.rate_bytes_s(now_ns)?;
         let needs = self.needs.geometry? + self.needs.pictures?;
         let [first_ns, last_ns] = self.withheld_ns?;
@@ -168,7 +170,7 @@ impl UpdateGate {
         }
         self.told_ns = Some(now_ns);
         let wanted_hz = 1e9 / self.period_ns as f64;
-        Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6, wanted_hz })
+        Some(Shortfall { carries_mbit_s: carries * 8e-6, needs_mbit_s: needs * 8e-6, wanted_hz, qp })
     }
 
     /// What the link is taken to carry, bytes a second, where it was too slow a moment ago.

@@ -211,7 +211,7 @@ impl<U: Updates> Viewer<U> {
 
     /// What to tell the person of a slow link, now and then.
     pub fn shortfall(&mut self, now_ns: i64) -> Option<Shortfall> {
-        self.gate.shortfall(now_ns)
+        self.gate.shortfall(self.quality.qp(), now_ns)
     }
 
     /// An update is to be made now, by what is given back. Over a way of which nothing is known it may take what it wants.

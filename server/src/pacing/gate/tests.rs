@@ -66,7 +66,7 @@ fn a_link_that_carries_the_scene_never_holds_an_update_back() {
     link.window_bytes = 500_000;
     assert_eq!(run(&mut gate, &mut link, 10, [20_000, 60_000]).len() as i64, 10_000_000_000 / PERIOD_NS);
     assert_eq!(
-        (gate.budget(&link.way(), link.now_ns), gate.shortfall(link.now_ns)),
+        (gate.budget(&link.way(), link.now_ns), gate.shortfall(30, link.now_ns)),
         (Budget::UNLIMITED, None)
     );
 }
@@ -159,7 +159,7 @@ fn a_link_that_gets_faster_is_used_a_quarter_more_with_each_second_and_never_at_
 fn nobody_is_told_of_a_link_that_is_behind_for_a_moment() {
     let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
     run(&mut gate, &mut link, 1, [40_000, 20_000]);
-    assert!(gate.withheld_ns.is_some() && gate.shortfall(link.now_ns).is_none());
+    assert!(gate.withheld_ns.is_some() && gate.shortfall(30, link.now_ns).is_none());
 }
 
 #[test]
@@ -168,14 +168,14 @@ fn the_person_is_told_what_the_link_carries_and_not_more_often_than_they_want_to
     let mut told = Vec::new();
     for _ in 0..25 {
         run_from(&mut gate, &mut link);
-        told.extend(gate.shortfall(link.now_ns));
+        told.extend(gate.shortfall(30, link.now_ns));
     }
     assert!((1..=3).contains(&told.len()), "{told:?}");
     assert!((0.8..1.2).contains(&told[0].carries_mbit_s) && told[0].needs_mbit_s > 2.0, "{told:?}");
-    let text = Shortfall { carries_mbit_s: 1.0, needs_mbit_s: 6.34, wanted_hz: 30.0 }.to_string();
+    let text = Shortfall { carries_mbit_s: 1.0, needs_mbit_s: 6.34, wanted_hz: 30.0, qp: 30 }.to_string();
     assert_eq!(
         text,
-        "the link carries 1.0 of 6.3 Mbit/s that the scene needs: about 5 of 30 updates a second are sent"
+        "the link carries 1.0 of 6.3 Mbit/s that the scene needs: about 5 of 30 updates a second are sent, at quantiser 30 of 51"
     );
 }
 

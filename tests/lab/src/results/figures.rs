@@ -57,6 +57,9 @@ const PICTURES: [(&str, &str); 4] = [
     ("walls", "painted walls, still"),
 ];
 
+/// Those of which there are figures with what the link carries.
+const AUTO_SCENES: [(&str, &str); 4] = [SCENES[0], SCENES[1], SCENES[8], SCENES[9]];
+
 /// Writes all tables anew, and the curves; `root` is the project's.
 ///
 /// # Errors
@@ -94,6 +97,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
     Ok(match name {
         "scenes" => scenes(&SCENES, &LONG, |scene| format!("{scene}-512"), results),
         "scenes-slow" => scenes(&SCENES, &LONG, |scene| format!("{scene}-512-slow"), results),
+        "auto" => scenes(&AUTO_SCENES, &AUTO, |scene| format!("auto-{scene}"), results),
         "picture" => picture(results),
         "picture-short" => scenes(&PICTURES, &PICTURE_SHORT, |scene| format!("picture-{scene}"), results),
         "costs" => costs(results),
@@ -111,7 +115,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "table1-growth" => table1_growth(results),
         "paper-size" => printed::<PaperSize>(name, results)?,
         "render-thread" => printed::<RenderThread>(name, results)?,
-        "links-steps" => printed::<Links>(name, results)?,
+        "links-steps" | "links" => printed::<Links>(name, results)?,
         "slow-dragons3" => printed::<Slow>(name, results)?,
         "live-window-dragons3" => printed::<Live>(name, results)?,
         "budget" => crate::results::budget::table(),
@@ -167,6 +171,14 @@ const LONG: [Column; 11] = [
     ("worst, pixels", "{motion.max_error_px,1,2}"),
     ("worst, % of range", "{motion.max_error_percent_of_range,1,2}"),
     ("atlas + geometry, Mbit/s", "{stats.mbit_per_s.atlas,1,1} + {stats.mbit_per_s.geometry,1,1}"),
+];
+
+/// The same pictures with 20 Mbit/s, and with what the link carries.
+const AUTO: [Column; 4] = [
+    ("all: PSNR, dB", "{capped.stats.psnr_db,1,1} / {auto.stats.psnr_db,1,1}"),
+    ("FLIP", "{capped.stats.flip,1,3} / {auto.stats.flip,1,3}"),
+    ("holes, %", "{capped.stats.hole_fraction,100,3} / {auto.stats.hole_fraction,100,3}"),
+    ("atlas, Mbit/s", "{capped.stats.mbit_per_s.atlas,1,1} / {auto.stats.mbit_per_s.atlas,1,1}"),
 ];
 
 /// What the README shows of a picture: both ways of PSNR, and FLIP.

@@ -33,6 +33,7 @@ use shadecast_scene::cache::Cache;
 use shadecast_scene::load::{SceneSource, load_scene_with};
 use shadecast_scene::process::Loading;
 use shadecast_server::atlas::surround::DEFAULT_SURROUND;
+use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::truth::forward::Forward;
 use shadecast_transport::LinkProfile;
@@ -136,6 +137,9 @@ fn jobs() -> Vec<Job> {
             let work = move |folder: &Path| scene_run(scene, folder, stages, every);
             jobs.push(Job::new(&format!("{}-512{suffix}", scene.name), work));
         }
+    }
+    for scene in CAUSED {
+        jobs.push(Job::new(&format!("auto-{}", scene.name), move |folder| auto_run(scene, folder)));
     }
     for scene in PICTURED {
         let work = move |folder: &Path| {
@@ -548,6 +552,26 @@ fn scene_run(
         "stage_ms": stages,
         "stats": report.stats,
         "motion": report.motion,
+    })))
+}
+
+/// A walk past a scene with pictures of 20 Mbit/s, and of what the link carries.
+fn auto_run(scene: LongScene, folder: &Path) -> anyhow::Result<Option<Value>> {
+    let Some((source, shown)) = scene.found(folder)? else { return Ok(None) };
+    let measured = |quality: QualityOptions| -> anyhow::Result<Value> {
+        let options = RunOptions {
+            compare_every: COMPARE_EVERY,
+            surround: DEFAULT_SURROUND,
+            quality,
+            ..RunOptions::new(source.clone(), folder.join("run"))
+        };
+        let report = run(&options)?;
+        println!("{}", report.stats);
+        Ok(json!({ "command": options.command_line(&shown), "stats": report.stats }))
+    };
+    Ok(Some(json!({
+        "capped": measured(QualityOptions::default())?,
+        "auto": measured(QualityOptions::Auto)?,
     })))
 }
 
