@@ -16,7 +16,7 @@ pub(super) struct LinksArgs {
 
 pub(super) fn run(LinksArgs { run, only }: LinksArgs) -> anyhow::Result<()> {
     let (out, scene) = (run.out.clone(), run.scene.clone());
-    let report = links::measure(&run_options(run)?, &scene, &only)?;
+    let report = links::measure(&run_options(run)?, &scene, |name| name.starts_with(&only))?;
     anyhow::ensure!(!report.rows.is_empty(), "no link's name begins with \"{only}\"");
     let path = out.join("links.json");
     shadecast_system::write_atomically(&path, serde_json::to_string_pretty(&report)?.as_bytes())

@@ -55,7 +55,7 @@ const BURST_EVERY_S: f64 = 0.7;
 const QUEUE_BAR_MS: f64 = 60.0;
 const AGE_BAR_MS: f64 = 400.0;
 const PAUSE_BAR_MS: f64 = 1000.0;
-/// Part of a better link's rate that is used.
+/// Part of a better link's bits and pictures.
 const RATE_BAR: f64 = 0.8;
 /// Pauses on a link that loses packets, and after an outage: these and a round trip, milliseconds.
 const LOSS_PAUSE_BAR_MS: f64 = 250.0;
@@ -72,8 +72,10 @@ struct RowBars {
     queue_median_ms: Option<f64>,
     age_worst_ms: Option<f64>,
     pause_ms: Option<f64>,
-    /// At least this part of the rate of another row.
+    /// At least this part of the bits a second of another row, which shows the same.
     rate_of: Option<(f64, String)>,
+    /// At least this part of the pictures a second of another row.
+    pictures_of: Option<(f64, String)>,
     /// No pictures that need no other.
     no_refresh: bool,
     /// Both take this part at least of an equal share, or of what the other row says that it takes alone.
@@ -92,10 +94,15 @@ impl RowBars {
             let bar_ms = bar_ms.filter(|bar_ms| ms > *bar_ms)?;
             Some(format!("{what} {ms:.0} ms, bar {bar_ms:.0} ms"))
         });
-        let rate =
-            |name: &str| others.iter().find(|other| other.link == name).map(|row| row.delivered_mbit_s);
-        let slow = self.rate_of.iter().filter_map(|(part, other)| {
-            let bar = part * rate(other)?;
+        let other = |name: &str| others.iter().find(|other| other.link == name);
+        let rate = |name: &str| other(name).map(|row| row.delivered_mbit_s);
+        let rare = self.pictures_of.iter().filter_map(|(part, name)| {
+            let bar = part * other(name)?.pictures_per_s;
+            let is_missed = row.pictures_per_s < bar;
+            is_missed.then(|| format!("{:.1} pictures/s, bar {bar:.1}", row.pictures_per_s))
+        });
+        let slow = self.rate_of.iter().filter_map(|(part, name)| {
+            let bar = part * rate(name)?;
             let is_missed = row.delivered_mbit_s < bar;
             is_missed.then(|| format!("{:.1} Mbit/s, bar {bar:.1} Mbit/s", row.delivered_mbit_s))
         });
@@ -108,7 +115,7 @@ impl RowBars {
             let is_missed = own_share.min(rival_share) < *part;
             is_missed.then(|| format!("{own_share:.2} and {rival_share:.2} of their share, bar {part}"))
         });
-        over.chain(slow).chain(refreshed).chain(unfair).collect()
+        over.chain(slow).chain(rare).chain(refreshed).chain(unfair).collect()
     }
 }
 
@@ -270,12 +277,12 @@ fn steps(seconds: f64) -> Result<Case> {
     for (number, rate) in STEPS_MBIT.iter().enumerate() {
         let at_s = seconds * number as f64 / STEPS_MBIT.len() as f64;
         let has_risen = number > 0 && *rate > STEPS_MBIT[number - 1];
-        let rate_of = has_risen.then(|| (RATE_BAR, format!("{} Mbit/s", STEPS_MBIT[0])));
+        let pictures_of = has_risen.then(|| (RATE_BAR, format!("{} Mbit/s", STEPS_MBIT[0])));
         let bars = RowBars {
             queue_median_ms: Some(QUEUE_BAR_MS),
             age_worst_ms: Some(AGE_BAR_MS),
             pause_ms: Some(PAUSE_BAR_MS),
-            rate_of,
+            pictures_of,
             ..RowBars::default()
         };
         steps.push((link_ns(at_s), queued(&format!("latency=10ms,rate={rate}mbit"))?));
@@ -293,8 +300,9 @@ fn lans(seconds: f64) -> Result<Vec<Case>> {
         bursts.push((link_ns(at_s), LinkProfile { loss: BURST_LOSS, ..good.clone() }));
         bursts.push((link_ns(at_s + BURST_S), good.clone()));
     }
+    let of_good = || Some((RATE_BAR, "LAN".to_owned()));
     let bad =
-        || RowBars { rate_of: Some((RATE_BAR, "LAN".to_owned())), no_refresh: true, ..RowBars::default() };
+        || RowBars { rate_of: of_good(), pictures_of: of_good(), no_refresh: true, ..RowBars::default() };
     let case = |name: &str, schedule: LinkSchedule, bars: RowBars| {
         Case::new(name, schedule, vec![Part::new(0.0, name, bars)], seconds)
     };
@@ -336,13 +344,13 @@ fn cases(seconds: f64) -> Result<Vec<Case>> {
     Ok(cases)
 }
 
-/// Measures all links whose name begins with `only`. To be called where [`crate::experiments::run::run`] may be.
+/// Measures all links whose names are wanted. To be called where [`crate::experiments::run::run`] may be.
 ///
 /// # Errors
 /// Anything that keeps a run from going on.
-pub fn measure(options: &RunOptions, scene: &str, only: &str) -> Result<Links> {
+pub fn measure(options: &RunOptions, scene: &str, is_wanted: impl Fn(&str) -> bool) -> Result<Links> {
     let mut links = Links { scene: scene.to_owned(), extent_pixels: options.extent_pixels, rows: Vec::new() };
-    for case in cases(options.seconds)?.into_iter().filter(|case| case.name.starts_with(only)) {
+    for case in cases(options.seconds)?.into_iter().filter(|case| is_wanted(&case.name)) {
         let (link, seconds) = (case.schedule.clone(), case.seconds);
         let options = RunOptions { link, seconds, reconnects: true, ..options.clone() };
         let looks = looks(&options, case.happens, case.neighbour)?;
@@ -514,6 +522,9 @@ mod tests {
         assert_eq!([misses(pause(150.0)), misses(pause(250.0))], [1, 0]);
         let rate = |part: f64| RowBars { rate_of: Some((part, "alone".to_owned())), ..RowBars::default() };
         assert_eq!([misses(rate(1.1)), misses(rate(0.9))], [1, 0]);
+        let pictures =
+            |part: f64| RowBars { pictures_of: Some((part, "alone".to_owned())), ..RowBars::default() };
+        assert_eq!([misses(pictures(1.1)), misses(pictures(0.9))], [1, 0]);
         let share = |part: f64| RowBars { share_of: Some((part, "alone".to_owned())), ..RowBars::default() };
         // 8 Mbit/s of 32 are all that it takes alone.
         assert_eq!([misses(share(1.1)), misses(share(0.9))], [1, 0]);

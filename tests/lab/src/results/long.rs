@@ -51,8 +51,9 @@ const MOTION_SECONDS: f64 = 6.0;
 /// Nine dragons, each cause of bytes by itself.
 const NINE_SECONDS: f64 = 10.0;
 const NINE_LINK: &str = "latency=20ms,jitter=5ms,rate=400mbit";
-/// Seconds on each of the bad links; of the one that changes, a quarter at each rate.
-const LINKS_SECONDS: f64 = 16.0;
+/// Seconds on the link that changes, a quarter at each rate, and on each of the others.
+const STEPS_SECONDS: f64 = 16.0;
+const LINK_SECONDS: f64 = 8.0;
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
 /// Seconds for which each neighbour is beside a lawful client, in each round.
@@ -226,10 +227,12 @@ fn jobs() -> Vec<Job> {
         Ok(Some(serde_json::to_value(found)?))
     }));
     jobs.push(Job::new("links-steps", |folder| {
-        bad_links(folder, 3, AtlasExtent::DEFAULT, "steps").map(Some)
+        bad_links(folder, 3, (AtlasExtent::DEFAULT, STEPS_SECONDS), |name| name == "steps").map(Some)
     }));
     // A small atlas, which is encoded soon: the pictures' rate is what counts.
-    jobs.push(Job::new("links", |folder| bad_links(folder, 1, AtlasExtent::MIN, "").map(Some)));
+    jobs.push(Job::new("links", |folder| {
+        bad_links(folder, 1, (AtlasExtent::MIN, LINK_SECONDS), |name| name != "steps").map(Some)
+    }));
     jobs.push(Job::new("live-window-dragons3", live_window));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
@@ -343,15 +346,20 @@ fn second_viewer(folder: &Path) -> anyhow::Result<Value> {
     Ok(serde_json::to_value(report)?)
 }
 
-/// So many dragons over the links whose names begin with `only`, with how many bars they miss.
-fn bad_links(folder: &Path, dragons: u32, atlas: AtlasExtent, only: &str) -> anyhow::Result<Value> {
+/// So many dragons over the links that are wanted, with how many bars they miss.
+fn bad_links(
+    folder: &Path,
+    dragons: u32,
+    (atlas, seconds): (AtlasExtent, f64),
+    is_wanted: fn(&str) -> bool,
+) -> anyhow::Result<Value> {
     let options = RunOptions {
         extent_pixels: [128, 128],
-        seconds: LINKS_SECONDS,
+        seconds,
         atlas_extent_texels: atlas,
         ..RunOptions::new(SceneSource::Dragons(dragons), folder.join("run"))
     };
-    let links = links::measure(&options, &format!("dragons:{dragons}"), only)?;
+    let links = links::measure(&options, &format!("dragons:{dragons}"), is_wanted)?;
     let missed_bars = links.missed_bars();
     let mut value = serde_json::to_value(links)?;
     value["missed_bars"] = missed_bars.into();
