@@ -355,6 +355,11 @@ impl Animation {
         self.saved.base(instance, place)
     }
 
+    /// The finest LOD of an instance whose positions are in a place, if it is there; that of what stands still is full detail.
+    pub(crate) fn lod_in(&self, instance: usize, place: RingPlace) -> usize {
+        self.poses[place.index()].of_instance[instance].map_or(FULL_DETAIL, |pose| pose.lod)
+    }
+
     /// First saved frame of an instance; `None` where it is not there.
     pub fn tangent_base(&self, instance: usize) -> Option<u32> {
         self.frames.base(instance, SHADED)

@@ -41,7 +41,7 @@ pub(crate) struct Shadow {
     sampler: Sampler,
     light: Buffer,
     view: Option<SunView>,
-    /// By instance: the LOD that its shadow is drawn at, or a coarser one where nobody needs that.
+    /// By instance: the LOD that its shadow is drawn at, or the finest that was skinned where that is coarser.
     lods: Vec<usize>,
     /// The same with coarse casters.
     coarse_lods: Vec<usize>,
@@ -153,8 +153,7 @@ impl Shadow {
                 let is_drawn = (all || needs.has(number))
                     && scene.scene.instances[number].casts_shadow
                     && base(number).is_some();
-                let least = needs.lod(number).filter(|_| !all).unwrap_or(FULL_DETAIL);
-                is_drawn.then_some(self.lods[number].max(least))
+                is_drawn.then(|| self.lods[number].max(animation.lod_in(number, place)))
             };
             let held = (0..self.held.len()).map(|number| casts(number).is_some());
             self.held.iter_mut().zip(held).for_each(|(held, now)| *held = now);
