@@ -7,7 +7,7 @@
 //!    at most a tenth.
 //! 2. **A picture at a useful quantiser**, as often as the link allows. Pictures have a quarter at least. Where the link carries less than a
 //!    stream takes, there are fewer of them, down to ten a second, before they get coarser. No update is made where what is under way takes a
-//!    slow link another 150 ms.
+//!    slow link another quarter of a second.
 //! 3. **Geometry.** An update brings what a slow link carries in 100 ms, or 16 kB where that is more: the largest blocks first, the rest with later updates. The first
 //!    update brings a second of what the way has delivered, since nothing is shown before.
 //! 4. **Finer quantisers**, to the end of the target.
@@ -27,7 +27,7 @@ const SAMPLES_S: f64 = 0.02;
 /// The same for what is shown later: a tenth.
 const LATER_S: f64 = 0.0033;
 /// What is under way may take this long to arrive, and a round trip, when another update is made, seconds.
-const MOST_WAIT_S: f64 = 0.15;
+const MOST_WAIT_S: f64 = 0.25;
 /// Pictures have at least this part of the bits, however many geometry takes.
 const LEAST_PICTURE_SHARE: f64 = 0.25;
 /// Where the link carries too little there are fewer updates rather than worse ones, down to so many a second.

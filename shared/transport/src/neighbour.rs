@@ -20,7 +20,7 @@ const PICTURE_PERIOD_NS: i64 = 33_333_333;
 /// A picture before anything is known, bytes.
 const FIRST_PICTURE_BYTES: usize = 1000;
 /// No picture is made where what is under way takes so long, seconds, and a round trip: as the server does it.
-const MOST_WAIT_S: f64 = 0.15;
+const MOST_WAIT_S: f64 = 0.25;
 
 /// What a neighbour takes.
 #[derive(Clone, Copy, Debug, PartialEq)]
