@@ -118,9 +118,6 @@ impl State {
             costs.iter().rposition(|cost| cost.error_m * self.pixels_per_metre <= pixels).unwrap_or(0)
         };
         let lod = |pixels: f32| self.aim.clamp(coarsest(COARSER_BELOW * pixels), coarsest(pixels));
-        if allowed.pixels <= allowed.unmeasured_pixels {
-            return lod(allowed.pixels);
-        }
         let of_worth = costs.iter().rposition(|cost| cost.patches >= LEAST_PATCHES).unwrap_or(0);
         lod(allowed.pixels).min(of_worth.max(lod(allowed.unmeasured_pixels)))
     }

@@ -235,7 +235,7 @@ impl World {
         let known = self.lit.as_ref().filter(|(lit, _)| *lit == at).map(|(_, of)| of);
         match known {
             Some(of) if of.covers(&self.needed) => return,
-            // Another viewer needs finer frames; the map is as fine for all.
+            // Another viewer needs finer frames. A map of coarse casters stays until the next time.
             Some(of) if of.has_all(&self.needed) => {
                 let lacks = |instance: usize| self.needed.lod(instance) < of.lod(instance);
                 self.animation.record_tangents(recorder, place, |instance| {
