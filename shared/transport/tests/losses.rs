@@ -5,9 +5,11 @@ use std::collections::BTreeMap;
 
 const MS: i64 = 1_000_000;
 const S: i64 = 1_000 * MS;
-/// From one update to the next, and bytes of its delta and its picture.
+/// From one update to the next.
 const PERIOD_NS: i64 = 33_333_333;
-const UPDATE_BYTES: [usize; 2] = [3_000, 12_000];
+/// Bytes of the streams of an update: its delta and its picture, or its delta and the slices of its picture.
+const WHOLE_BYTES: &[usize] = &[3_000, 12_000];
+const SLICED_BYTES: &[usize] = &[3_000, 3_000, 3_000, 3_000, 3_000];
 /// Until then the connection has learnt what the path loses.
 const SETTLED_NS: i64 = 3 * S;
 
@@ -15,10 +17,11 @@ const SETTLED_NS: i64 = 3 * S;
 struct Play {
     pair: Pair,
     peer: PeerId,
+    streams_bytes: &'static [usize],
     /// When the update of each number left.
     sent_ns: Vec<i64>,
-    /// Of these, the parts that have come.
-    came: BTreeMap<usize, usize>,
+    /// Of these, how long after them each of their streams came, nanoseconds.
+    came_ns: BTreeMap<usize, Vec<i64>>,
     /// Of each update in order: how long after it left it could be shown, nanoseconds.
     late_ns: Vec<i64>,
     /// The longest time without another update, nanoseconds, from [`SETTLED_NS`] on.
@@ -36,8 +39,9 @@ impl Play {
         Self {
             pair,
             peer,
+            streams_bytes: WHOLE_BYTES,
             sent_ns: Vec::new(),
-            came: BTreeMap::new(),
+            came_ns: BTreeMap::new(),
             late_ns: Vec::new(),
             pause_ns: 0,
             shown_ns: SETTLED_NS,
@@ -46,7 +50,7 @@ impl Play {
 
     fn until(mut self, until_ns: i64) -> Self {
         while self.pair.now_ns() < until_ns {
-            for bytes in UPDATE_BYTES {
+            for bytes in self.streams_bytes.iter().copied() {
                 let mut stream = vec![0; bytes];
                 stream[..8].copy_from_slice(&(self.sent_ns.len() as u64).to_le_bytes());
                 self.pair.server.send_stream(self.peer, stream, 0).unwrap();
@@ -65,9 +69,10 @@ impl Play {
     fn take(&mut self, event: &Event) {
         let Event::Stream { bytes, .. } = event else { return };
         let number = u64::from_le_bytes(bytes[..8].try_into().unwrap()) as usize;
-        *self.came.entry(number).or_default() += 1;
         let now_ns = self.pair.now_ns();
-        while self.came.get(&self.late_ns.len()) == Some(&UPDATE_BYTES.len()) {
+        self.came_ns.entry(number).or_default().push(now_ns - self.sent_ns[number]);
+        let whole = self.streams_bytes.len();
+        while self.came_ns.get(&self.late_ns.len()).is_some_and(|came| came.len() == whole) {
             let sent_ns = self.sent_ns[self.late_ns.len()];
             self.late_ns.push(now_ns - sent_ns);
             if now_ns > SETTLED_NS {
@@ -83,6 +88,16 @@ impl Play {
         let mut late_ns = self.late_ns[settled..].to_vec();
         late_ns.sort_unstable();
         [late_ns[late_ns.len() / 2], late_ns[late_ns.len() - 1], self.pause_ns].map(|ns| ns / MS)
+    }
+
+    /// Part of the updates that had not so many of their streams 30 ms after the way itself, `0..=1`.
+    fn late(&self, latency_ms: i64, streams: usize) -> f64 {
+        let settled = self.came_ns.iter().filter(|(number, _)| self.sent_ns[**number] >= SETTLED_NS);
+        let (late, all) = settled.fold((0, 0), |(late, all), (_, came_ns)| {
+            let is_late = came_ns.get(streams - 1).is_none_or(|ns| *ns > (latency_ms + 30) * MS);
+            (late + usize::from(is_late), all + 1)
+        });
+        late as f64 / all as f64
     }
 }
 
@@ -130,4 +145,24 @@ fn copies_take_no_room_from_updates() {
     assert!(with_ms <= without_ms + 10, "{with_ms} ms, without copies {without_ms} ms");
     let stats = twice.pair.server.stats(twice.peer).unwrap();
     assert!(stats.repeated_bytes < stats.sent_bytes / 3, "{stats:?}");
+}
+
+/// What a stream for each slice could gain at most: pictures of which all but one stream is there in time.
+#[test]
+fn few_pictures_wait_for_one_slice() {
+    for latency_ms in [20, 50, 110] {
+        let played = |streams_bytes, seed| {
+            let play = Play::new(&link(latency_ms, 5), true, seed);
+            Play { streams_bytes, ..play }.until(20 * S)
+        };
+        let mean = |late: &dyn Fn(u64) -> f64| (0..2).map(late).sum::<f64>() / 2.0;
+        let whole = mean(&|seed| played(WHOLE_BYTES, seed).late(latency_ms, WHOLE_BYTES.len()));
+        let but_one = mean(&|seed| played(SLICED_BYTES, seed).late(latency_ms, SLICED_BYTES.len() - 1));
+        let percent = [whole, but_one].map(|part| format!("{:.1} %", 100.0 * part));
+        println!(
+            "{latency_ms} ms, 5 %: whole pictures late {}, all but one slice late {}",
+            percent[0], percent[1]
+        );
+        assert!(whole < 0.1 && whole - but_one < 0.07, "{latency_ms} ms: {percent:?}");
+    }
 }
