@@ -84,7 +84,7 @@ fn patch_slot(number: u32) -> PatchSlot {
 
 fn block(round: u32) -> Block {
     let side = (round % 400) as u16 * 4;
-    Block { address: BlockAddress { x: side, y: side }, size: BlockSize::new(2, 3).expect("a size") }
+    Block { address: BlockAddress { page: 0, x: side, y: side }, size: BlockSize::new(2, 3).expect("a size") }
 }
 
 /// Vertices that wait for no samples.

@@ -122,7 +122,7 @@ fn positions() -> Vec<[f32; 4]> {
 
 fn patch(number: u16) -> ResidentPatch {
     let first = u32::from(number) * 4;
-    let address = BlockAddress { x: number % ACROSS * 32, y: number / ACROSS * 32 };
+    let address = BlockAddress { page: 0, x: number % ACROSS * 32, y: number / ACROSS * 32 };
     ResidentPatch {
         instance: InstanceId(0),
         kind: PatchKind::Two,

@@ -166,7 +166,7 @@ fn patch(strip: u32, at: u32) -> ResidentPatch {
     let first = strip * 2 * (PATCHES_A_STRIP + 1) + at;
     let above = first + PATCHES_A_STRIP + 1;
     let number = strip * PATCHES_A_STRIP + at;
-    let address = BlockAddress { x: (number % 256 * 8) as u16, y: (number / 256 * 8 % 1024) as u16 };
+    let address = BlockAddress { page: 0, x: (number % 256 * 8) as u16, y: (number / 256 * 8 % 1024) as u16 };
     ResidentPatch {
         instance: InstanceId(0),
         kind: PatchKind::Two,

@@ -46,7 +46,7 @@ fn environment() -> Environment {
 }
 
 fn block(x: u16) -> Block {
-    Block { address: BlockAddress { x, y: 0 }, size: BlockSize::new(6, 6).expect("a size") }
+    Block { address: BlockAddress { page: 0, x, y: 0 }, size: BlockSize::new(6, 6).expect("a size") }
 }
 
 /// Left half red, right half blue, elsewhere green so that a wrong lookup is seen.

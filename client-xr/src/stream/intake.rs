@@ -131,6 +131,7 @@ impl Intake {
             max_patch_slots: options.max_patch_slots.min(MAX_PATCH_SLOTS),
             max_triangles: options.max_triangles.min(MAX_TRIANGLES),
             motion: options.motion.min(MotionMemory::MAX),
+            store_pages: 0,
             codecs: options.codecs.to_vec(),
             eyes,
             eye_extent_pixels,

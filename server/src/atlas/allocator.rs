@@ -122,6 +122,7 @@ impl Atlas {
         let (column, row) = (place % superblock.columns(), place / superblock.columns());
         self.take_place(corner, place);
         let address = BlockAddress {
+            page: 0,
             x: (corner.1 + column * size.width()) as u16,
             y: (corner.0 + row * size.height()) as u16,
         };

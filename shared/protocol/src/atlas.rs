@@ -1,4 +1,4 @@
-//! Addressing of the shading atlas: the place of a patch's block, and the area that a lookup may reach.
+//! Addressing of the shading atlas and of the store: the place of a patch's block, and the area that a lookup may reach.
 //!
 //! Server (shading), client (lookup) and the shaders of both agree here to the texel. The module does not assign blocks: the
 //! server's allocator does.
@@ -7,7 +7,7 @@ pub use shadecast_model::patch::PatchKind;
 
 use crate::limits::{
     ATLAS_DEFAULT_EXTENT, ATLAS_MAX_EXTENT, ATLAS_MIN_SIDE, BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2,
-    BLOCK_MIN_LOG2,
+    BLOCK_MIN_LOG2, MAX_STORE_PAGES, STORE_PAGE_SIDE,
 };
 use serde::{Deserialize, Serialize};
 use std::fmt;
@@ -18,7 +18,13 @@ use thiserror::Error;
 const ADDRESS_BITS: u32 = 10;
 /// Bits of one size exponent in a packed block.
 const SIZE_BITS: u32 = 3;
-const USED_BITS: u32 = 2 * ADDRESS_BITS + 2 * SIZE_BITS;
+/// Bits of the page.
+const PAGE_BITS: u32 = 5;
+const PAGE_SHIFT: u32 = 2 * ADDRESS_BITS + 2 * SIZE_BITS;
+const USED_BITS: u32 = PAGE_SHIFT + PAGE_BITS;
+
+/// The page of blocks in the atlas of an update's picture. Those of the store begin with 1.
+pub const ATLAS_PAGE: u8 = 0;
 
 /// Width and height of a shading atlas: powers of two within the limits.
 ///
@@ -110,6 +116,8 @@ impl AtlasExtent {
     }
 }
 
+const _: () = assert!(MAX_STORE_PAGES < 1 << PAGE_BITS);
+
 impl TryFrom<[u32; 2]> for AtlasExtent {
     type Error = AtlasExtentError;
 
@@ -145,9 +153,11 @@ impl fmt::Debug for AtlasExtent {
     }
 }
 
-/// Corner of a block nearest to the atlas's origin, in texels from the upper left; multiples of 4.
+/// Corner of a block nearest to the origin of its page, in texels from the upper left; multiples of 4.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct BlockAddress {
+    /// [`ATLAS_PAGE`], or a page of the store, at most [`MAX_STORE_PAGES`].
+    pub page: u8,
     /// Texels from the left.
     pub x: u16,
     /// Texels from the top.
@@ -163,7 +173,7 @@ pub struct BlockSize {
     pub height_log2: u8,
 }
 
-/// A patch's rectangle in the atlas.
+/// A patch's rectangle in the atlas, or in a page of the store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Block {
     /// Where it lies.
@@ -207,7 +217,7 @@ impl BlockSize {
 }
 
 impl Block {
-    /// As one word, from bit 0: x/4 (10 bits), y/4 (10), width_log2 - 2 (3), height_log2 - 2 (3); the rest is 0.
+    /// As one word, from bit 0: x/4 (10 bits), y/4 (10), width_log2 - 2 (3), height_log2 - 2 (3), page (5); the rest is 0.
     pub fn pack(self) -> u32 {
         debug_assert!(
             [self.address.x, self.address.y].iter().all(|c| c.is_multiple_of(1 << BLOCK_MIN_LOG2)),
@@ -217,15 +227,17 @@ impl Block {
             | (u32::from(self.address.y) >> BLOCK_MIN_LOG2) << ADDRESS_BITS
             | (u32::from(self.size.width_log2) - BLOCK_MIN_LOG2) << (2 * ADDRESS_BITS)
             | (u32::from(self.size.height_log2) - BLOCK_MIN_LOG2) << (2 * ADDRESS_BITS + SIZE_BITS)
+            | u32::from(self.address.page) << PAGE_SHIFT
     }
 
-    /// The block of a packed word, if it lies within the largest atlas.
+    /// The block of a packed word, if it lies within the largest atlas or a page of the store.
     pub fn unpack(word: u32) -> Result<Self, BlockError> {
         let field = |shift: u32, bits: u32| word >> shift & ((1 << bits) - 1);
         if word >> USED_BITS != 0 {
-            return Err(BlockError { word, reason: "its upper six bits must be zero" });
+            return Err(BlockError { word, reason: "its uppermost bit must be zero" });
         }
         let address = BlockAddress {
+            page: field(PAGE_SHIFT, PAGE_BITS) as u8,
             x: (field(0, ADDRESS_BITS) << BLOCK_MIN_LOG2) as u16,
             y: (field(ADDRESS_BITS, ADDRESS_BITS) << BLOCK_MIN_LOG2) as u16,
         };
@@ -234,10 +246,16 @@ impl Block {
             height_log2: (field(2 * ADDRESS_BITS + SIZE_BITS, SIZE_BITS) + BLOCK_MIN_LOG2) as u8,
         };
         let block = Self { address, size };
-        if !block.fits(ATLAS_MAX_EXTENT) {
-            return Err(BlockError { word, reason: "it reaches beyond the largest atlas" });
+        let extent = if block.is_stored() { [STORE_PAGE_SIDE; 2] } else { ATLAS_MAX_EXTENT };
+        if !block.fits(extent) {
+            return Err(BlockError { word, reason: "it reaches beyond its page" });
         }
         Ok(block)
+    }
+
+    /// True where it lies in the store, not in the atlas.
+    pub fn is_stored(self) -> bool {
+        self.address.page != ATLAS_PAGE
     }
 
     /// True where the block lies wholly inside an atlas of this extent in texels.
@@ -264,7 +282,7 @@ impl Block {
     /// True where the two blocks share a texel.
     pub fn overlaps(self, other: Self) -> bool {
         let (a, b) = (self.rect_texels(), other.rect_texels());
-        a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
+        self.address.page == other.address.page && a[0] < b[2] && b[0] < a[2] && a[1] < b[3] && b[1] < a[3]
     }
 }
 

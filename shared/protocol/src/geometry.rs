@@ -11,7 +11,7 @@ use crate::time::WorldTime;
 use glam::Vec3;
 
 /// What one update changes in the client's memory. Applied in the order: patch evictions, vertex evictions, instances,
-/// what is skinned, rest vertices, new vertices, new patches, placements, coverage, predictions. Deltas follow each other without a gap,
+/// what is skinned, rest vertices, new vertices, new patches, placements, coverage, settled blocks, predictions. Deltas follow each other without a gap,
 /// by their sequence, of which those between updates are a part.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct GeometryDelta {
@@ -37,6 +37,8 @@ pub struct GeometryDelta {
     pub placements: Vec<(PatchSlot, Option<Block>)>,
     /// Of the patches that get a block with this update, those that do not cover all of it. What is not among them is opaque.
     pub coverage: Vec<(PatchSlot, Coverage)>,
+    /// Blocks to copy from this update's picture to the store.
+    pub settled: Vec<Settled>,
     /// Where predicted vertices will be, ascending by slots; whoever is not among them keeps what was told.
     pub predictions: Vec<PredictedVertex>,
 }
@@ -56,6 +58,7 @@ impl GeometryDelta {
             evicted_vertices,
             placements,
             coverage,
+            settled,
             predictions,
         } = self;
         (*update, *time) = (UpdateId::default(), WorldTime::default());
@@ -70,12 +73,13 @@ impl GeometryDelta {
         evicted_vertices.clear();
         placements.clear();
         coverage.clear();
+        settled.clear();
         predictions.clear();
     }
 
-    /// How much there is to take in: vertices, patches and placements.
+    /// How much there is to take in: vertices, patches, placements and settled blocks.
     pub fn records(&self) -> usize {
-        let placed = self.placements.len() + self.coverage.len();
+        let placed = self.placements.len() + self.coverage.len() + self.settled.len();
         let patches = self.new_patches.len() + self.evicted_patches.len() + placed;
         self.new_rests.len()
             + self.new_vertices.len()
@@ -83,6 +87,15 @@ impl GeometryDelta {
             + self.predictions.len()
             + patches
     }
+}
+
+/// A block whose colours no longer change: the client keeps a copy. From a later update on, a placement may name it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Settled {
+    /// Whose block it is: it lies in the atlas.
+    pub slot: PatchSlot,
+    /// Where the copy lies in the store: as large.
+    pub to: Block,
 }
 
 /// What a client needs to know to skin.

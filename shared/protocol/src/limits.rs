@@ -82,6 +82,10 @@ pub const BLOCK_MAX_LOG2: u32 = 9;
 pub const SUPERBLOCK_MIN_LOG2: u32 = 6;
 /// A patch's unit square maps to its block less this many luma texels on each side.
 pub const BLOCK_INSET_TEXELS: u32 = 1;
+/// Sides of a page of the store in texels.
+pub const STORE_PAGE_SIDE: u32 = 2048;
+/// Pages that a store may have: 500 MB at four bytes a texel.
+pub const MAX_STORE_PAGES: u32 = 31;
 /// Texels of blocks whose coverage one delta may tell: those of the largest atlas.
 pub const MAX_COVERED_TEXELS: u32 = ATLAS_MAX_EXTENT[0] * ATLAS_MAX_EXTENT[1];
 /// 16x16 macroblocks in one coded picture: H.264 level 5.2.
@@ -190,6 +194,7 @@ const _: () = {
     assert!(PREDICTIONS < MIN_SAMPLE_RING, "a client keeps them in place of samples");
     assert!(ATLAS_MAX_EXTENT[0] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(ATLAS_MAX_EXTENT[1] <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
+    assert!(STORE_PAGE_SIDE <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 < 8, "3 bits of size");
     assert!(SUPERBLOCK_MIN_LOG2 >= BLOCK_MIN_LOG2 && SUPERBLOCK_MIN_LOG2 <= BLOCK_MAX_LOG2);
     assert!(2 * BLOCK_INSET_TEXELS < 1 << BLOCK_MIN_LOG2, "the smallest block keeps an inside");

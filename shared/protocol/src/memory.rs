@@ -5,7 +5,7 @@
 
 use crate::atlas::{Block, PatchKind};
 use crate::coverage::Coverage;
-use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Skinned};
+use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Settled, Skinned};
 use crate::ids::{InstanceId, PatchSlot, RestId, SkeletonId, VertexSlot};
 use crate::limits::{MAX_INSTANCES, MAX_REST_VERTICES, MAX_STEP_M, MIN_STEP_M};
 use crate::message::MotionMemory;
@@ -42,6 +42,8 @@ pub struct ClientMemory {
     /// What was agreed.
     motion: MotionMemory,
     patches: Patches,
+    /// Pages of the store: 1 to this.
+    store_pages: u32,
 }
 
 /// What a skeleton has.
@@ -107,6 +109,7 @@ impl ClientMemory {
             fixed_words: SlotSet::new(MotionMemory::MAX.arena_words),
             motion: MotionMemory::MAX,
             patches: Patches::new(patch_slots),
+            store_pages: 0,
         }
     }
 
@@ -114,6 +117,12 @@ impl ClientMemory {
     #[must_use]
     pub fn with_motion(self, motion: MotionMemory) -> Self {
         Self { motion, fixed_words: SlotSet::new(motion.arena_words), ..self }
+    }
+
+    /// With so many pages of the store.
+    #[must_use]
+    pub fn with_store(self, store_pages: u32) -> Self {
+        Self { store_pages, ..self }
     }
 
     /// Vertices before skinning in units of their meshes, as of the last delta taken in.
@@ -184,13 +193,26 @@ impl ClientMemory {
             }
         }
         self.patches.insert(&delta.new_patches)?;
+        let placed = delta.placements.iter().filter_map(|(_, block)| *block);
+        placed.chain(delta.settled.iter().map(|settled| settled.to)).try_for_each(|b| self.check_page(b))?;
         self.patches.place(&delta.placements)?;
         self.patches.cover(&delta.coverage)?;
+        self.patches.check_settled(&delta.settled)?;
         check_predictions(&delta.predictions, |slot| self.is_predicted(slot))?;
         let sampled = delta.new_vertices.iter().filter(|vertex| vertex.motion == Motion::Sampled);
         let mut sampled: Vec<_> = sampled.map(|vertex| vertex.slot).collect();
         sampled.sort_unstable();
         Ok(Entered { sampled, rescaled })
+    }
+
+    fn check_page(&self, block: Block) -> Result<(), WireError> {
+        match u32::from(block.address.page) <= self.store_pages {
+            true => Ok(()),
+            false => {
+                let reason = format!("it is in page {} of {}", block.address.page, self.store_pages);
+                Err(invalid("a block of the store", reason))
+            }
+        }
     }
 
     /// Samples in metres, as of the last delta taken in. They lie where the samples lay: a delta may have two million.
@@ -454,6 +476,24 @@ impl Patches {
                 Ok(())
             }
             _ => Err(invalid("a placement", format!("there is no patch in slot {}", slot.0))),
+        })
+    }
+
+    /// Blocks that settle lie in the atlas, and their copies are as large, in the store.
+    ///
+    /// # Errors
+    /// One does not.
+    fn check_settled(&self, settled: &[Settled]) -> Result<(), WireError> {
+        settled.iter().try_for_each(|Settled { slot, to }| {
+            let block = self.get(*slot).and_then(|patch| patch.block).filter(|block| !block.is_stored());
+            match block.is_some_and(|block| block.size == to.size && to.is_stored()) {
+                true => Ok(()),
+                false => {
+                    let reason =
+                        format!("the patch in slot {} has no block of this size in the atlas", slot.0);
+                    Err(invalid("a block that settles", reason))
+                }
+            }
         })
     }
 

@@ -10,8 +10,8 @@ use crate::limits::{
     ATLAS_MAX_EXTENT, ATLAS_MIN_SIDE, DEFAULT_ARENA_WORDS, DEFAULT_REST_VERTICES, DEFAULT_SAMPLE_RING,
     MAX_ARENA_WORDS, MAX_CODECS, MAX_CONTROL_BYTES, MAX_COORDINATE_M, MAX_DATAGRAM_BYTES,
     MAX_EYE_EXTENT_PIXELS, MAX_EYE_PIXELS, MAX_KEPT_SAMPLES, MAX_PATCH_SLOTS, MAX_POSE_PLACES,
-    MAX_REST_VERTICES, MAX_SAMPLE_RING, MAX_SAMPLED_SLOTS, MAX_SPEED, MAX_TEXT_BYTES, MAX_TRIANGLES,
-    MAX_VERTEX_SLOTS, MIN_SAMPLE_RING, PADDING_BYTES,
+    MAX_REST_VERTICES, MAX_SAMPLE_RING, MAX_SAMPLED_SLOTS, MAX_SPEED, MAX_STORE_PAGES, MAX_TEXT_BYTES,
+    MAX_TRIANGLES, MAX_VERTEX_SLOTS, MIN_SAMPLE_RING, PADDING_BYTES,
 };
 use crate::pairing::{ClientPairing, ServerPairing};
 use crate::pose::{Eye, Pose};
@@ -123,6 +123,8 @@ pub struct Capabilities {
     pub max_triangles: u32,
     /// What it can keep of how vertices move.
     pub motion: MotionMemory,
+    /// Pages of the store that it can keep, at most `MAX_STORE_PAGES`.
+    pub store_pages: u32,
     /// What it decodes, best first.
     pub codecs: Vec<Codec>,
     /// Its eyes, left and right.
@@ -142,6 +144,7 @@ impl Capabilities {
             max_patch_slots: MAX_PATCH_SLOTS,
             max_triangles: MAX_TRIANGLES,
             motion: MotionMemory::DEFAULT,
+            store_pages: 0,
             codecs: vec![Codec::H264],
             eyes,
             eye_extent_pixels,
@@ -256,6 +259,8 @@ pub struct Welcome {
     pub patch_slots: u32,
     /// What the client keeps of how vertices move.
     pub motion: MotionMemory,
+    /// Pages of the store that the server will use: 1 to this, inclusive.
+    pub store_pages: u32,
     /// How the atlas is coded.
     pub codec: Codec,
     /// What is seen where no geometry is.
@@ -341,6 +346,8 @@ pub struct ServerOffer {
     /// Whoever keeps this, or more, is sent no samples and no poses, and keeps a ring of as many steps as this says; `None`:
     /// everybody is sent some.
     pub unsampled: Option<MotionMemory>,
+    /// Pages of the store wanted.
+    pub store_pages: u32,
     /// What the server encodes, best first.
     pub codecs: Vec<Codec>,
     /// What is seen where no geometry is.
@@ -551,6 +558,7 @@ impl Capabilities {
         check_slots("the patch slots of a client", self.max_patch_slots, MAX_PATCH_SLOTS)?;
         check_slots("the triangles of a client", self.max_triangles, MAX_TRIANGLES)?;
         self.motion.check()?;
+        check_pages(self.store_pages)?;
         check_period("the display period", self.display_period_ns)
     }
 }
@@ -563,6 +571,7 @@ impl Welcome {
         check_slots("the vertex slots of a session", self.vertex_slots, MAX_VERTEX_SLOTS)?;
         check_slots("the patch slots of a session", self.patch_slots, MAX_PATCH_SLOTS)?;
         self.motion.check()?;
+        check_pages(self.store_pages)?;
         let samples = self.vertex_slots * self.motion.sample_ring;
         check_count("the samples of a session", samples as usize, MAX_KEPT_SAMPLES as usize)?;
         check_pose("where the stage starts", &self.world_from_stage)?;
@@ -620,6 +629,7 @@ pub fn negotiate(hello: &ClientHello, offer: &ServerOffer) -> Result<Welcome, Re
         vertex_slots: vertex_slots.min(MAX_KEPT_SAMPLES / motion.sample_ring),
         patch_slots: offer.patch_slots.min(capabilities.max_patch_slots),
         motion,
+        store_pages: offer.store_pages.min(capabilities.store_pages),
         codec: *codec,
         environment: offer.environment,
         world_from_stage: offer.world_from_stage,
@@ -718,6 +728,10 @@ fn check_period(what: &'static str, period_ns: i64) -> Result<(), WireError> {
 
 fn check_slots(what: &'static str, slots: u32, limit: u32) -> Result<(), WireError> {
     require((1..=limit).contains(&slots), what, || format!("{slots} is not within 1..={limit}"))
+}
+
+fn check_pages(pages: u32) -> Result<(), WireError> {
+    check_count("the pages of a store", pages as usize, MAX_STORE_PAGES as usize).map(drop)
 }
 
 fn check_pose(what: &'static str, pose: &Pose) -> Result<(), WireError> {

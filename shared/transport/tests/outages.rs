@@ -90,7 +90,7 @@ impl Server {
             match event {
                 ServerEvent::Asked { welcome, .. } => {
                     let encoder = DeltaEncoder::new(welcome.vertex_slots, welcome.patch_slots);
-                    self.encoder = encoder.with_motion(welcome.motion);
+                    self.encoder = encoder.with_motion(welcome.motion).with_store(welcome.store_pages);
                     self.sender = self.session.accept();
                 }
                 ServerEvent::Head(head) => self.heard_head_ns = head.time.0,

@@ -271,7 +271,8 @@ fn atlas_planes_equal_the_cpu_twin_within_one_code_value() {
     assert_eq!(picture.extent_texels(), twin.extent_texels());
     let worst = picture.bytes().iter().zip(twin.bytes()).map(|(a, b)| a.abs_diff(*b)).max();
     assert!(worst <= Some(1), "{worst:?}");
-    let (address, size) = (BlockAddress { x: 20, y: 12 }, BlockSize { width_log2: 4, height_log2: 5 });
+    let (address, size) =
+        (BlockAddress { page: 0, x: 20, y: 12 }, BlockSize { width_log2: 4, height_log2: 5 });
     let coverage = ycbcr.coverage(Block { address, size });
     for texel in 0..size.texels() {
         let (x, y) = (20 + texel % 16, 12 + texel / 16);

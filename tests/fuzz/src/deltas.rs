@@ -8,14 +8,16 @@ use shadecast_protocol::limits::{MAX_SAMPLE_BATCHES, MAX_SAMPLES_PER_DELTA};
 pub const VERTEX_SLOTS: u32 = 4096;
 /// See [`VERTEX_SLOTS`].
 pub const PATCH_SLOTS: u32 = 4096;
+/// The same for pages of its store.
+const STORE_PAGES: u32 = 4;
 /// The operation of a step that holds a delta.
 pub const DELTA: u8 = 0;
 
 /// The number of deltas that decoded.
 pub fn check(script: &[u8]) -> usize {
-    let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
     let mut again = decoder.clone();
-    let mut encoder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    let mut encoder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
     let mut decoded = 0;
     for step in steps(script) {
         let Ok(delta) = decoder.decode(step.bytes) else {

@@ -64,6 +64,7 @@ fn offer(welcome: Welcome) -> ServerOffer {
         patch_slots: welcome.patch_slots.min(crate::deltas::PATCH_SLOTS),
         motion: welcome.motion,
         unsampled: None,
+        store_pages: welcome.store_pages,
         codecs: vec![welcome.codec],
         environment: welcome.environment,
         world_from_stage: welcome.world_from_stage,

@@ -42,6 +42,7 @@ pub fn offer() -> ServerOffer {
         patch_slots: 1000,
         motion: MotionMemory::DEFAULT,
         unsampled: None,
+        store_pages: 0,
         codecs: vec![Codec::H264],
         environment: Environment { zenith: [0.5; 3], horizon: [0.5; 3], nadir: [0.5; 3] },
         world_from_stage: Pose::IDENTITY,

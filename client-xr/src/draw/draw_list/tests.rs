@@ -43,7 +43,7 @@ fn new_patch(rng: &mut StdRng, slot: u32) -> NewPatch {
 
 fn block(rng: &mut StdRng) -> Block {
     let [x, y] = [0; 2].map(|_: u32| rng.random_range(0..200u16) * 4);
-    Block { address: BlockAddress { x, y }, size: BlockSize::new(2, 2).expect("a size") }
+    Block { address: BlockAddress { page: 0, x, y }, size: BlockSize::new(2, 2).expect("a size") }
 }
 
 /// What a list shows at a time: of each patch that is drawn its corners' numbers, in the order of its indices.

@@ -165,7 +165,8 @@ impl Server {
     fn place(&mut self, dice: &mut Dice, delta: &mut GeometryDelta) {
         for (slot, patch) in &mut self.patches {
             if patch.block.is_none() || dice.once_in(4) {
-                let address = BlockAddress { x: dice.below(64) as u16 * 4, y: dice.below(64) as u16 * 4 };
+                let address =
+                    BlockAddress { page: 0, x: dice.below(64) as u16 * 4, y: dice.below(64) as u16 * 4 };
                 let size = BlockSize::new(2, 3).expect("a size");
                 patch.block = (!dice.once_in(6)).then_some(Block { address, size });
                 delta.placements.push((PatchSlot(*slot), patch.block));
@@ -498,7 +499,8 @@ fn triangle(frame: u32, steps: std::ops::RangeInclusive<i32>) -> ReceivedDelta {
         instance: InstanceId(0),
         motion: geometry::Motion::Sampled,
     };
-    let block = Block { address: BlockAddress { x: 8, y: 4 }, size: BlockSize::new(3, 2).expect("a size") };
+    let block =
+        Block { address: BlockAddress { page: 0, x: 8, y: 4 }, size: BlockSize::new(3, 2).expect("a size") };
     let batch = |grid| PositionBatch {
         grid: GridIndex(grid),
         positions: (0..3).map(|slot| (VertexSlot(slot), Vec3::new(0.5, 1.0, 1.5))).collect(),

@@ -115,6 +115,7 @@ pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, s
         patch_slots: MAX_PATCH_SLOTS,
         motion: scene.motion.memory(),
         unsampled: scene.motion.unsampled_memory(),
+        store_pages: 0,
         codecs: vec![Codec::H264],
         environment: Environment {
             zenith: environment.zenith.to_array(),

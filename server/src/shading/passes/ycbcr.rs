@@ -229,7 +229,7 @@ mod tests {
     use shadecast_protocol::atlas::{BlockAddress, BlockSize};
 
     fn block(x: u16, y: u16, log2: u8) -> Block {
-        Block { address: BlockAddress { x, y }, size: BlockSize::new(log2, log2).expect("a size") }
+        Block { address: BlockAddress { page: 0, x, y }, size: BlockSize::new(log2, log2).expect("a size") }
     }
 
     #[test]

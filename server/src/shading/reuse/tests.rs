@@ -58,7 +58,10 @@ impl Surfaces for Row {
 }
 
 fn block(x: u16, side_log2: u8) -> Block {
-    Block { address: BlockAddress { x, y: 0 }, size: BlockSize::new(side_log2, side_log2).expect("a size") }
+    Block {
+        address: BlockAddress { page: 0, x, y: 0 },
+        size: BlockSize::new(side_log2, side_log2).expect("a size"),
+    }
 }
 
 /// All patches with blocks of 8x8 texels.

@@ -66,7 +66,7 @@ fn lookups_never_reach_a_neighbours_luma_or_chroma() {
     for log2 in BLOCK_MIN_LOG2..=BLOCK_MAX_LOG2 {
         for start in [0, 4, 512, 1020, 3584u16] {
             let size = BlockSize::new(log2 as u8, log2 as u8).unwrap();
-            let block = Block { address: BlockAddress { x: start, y: 0 }, size };
+            let block = Block { address: BlockAddress { page: 0, x: start, y: 0 }, size };
             let [left, _, right, _] = block.rect_texels().map(i64::from);
             let [from, _, to, _] = block.lookup_rect_texels().map(f64::from);
             let steps = (to - from) as u32 * 64;
@@ -96,11 +96,14 @@ fn every_block_survives_packing() {
     for w in 2..=9u8 {
         for h in 2..=9u8 {
             for address in [(0, 0), (4, 8), (3584, 1536), (1020, 36)] {
-                let block = Block {
-                    address: BlockAddress { x: address.0, y: address.1 },
-                    size: BlockSize { width_log2: w, height_log2: h },
-                };
-                assert_eq!(Block::unpack(block.pack()), Ok(block));
+                for page in [0, 1, 31] {
+                    let (x, y) = if page == 0 { address } else { (address.0 % 1536, address.1 % 1536) };
+                    let block = Block {
+                        address: BlockAddress { page, x, y },
+                        size: BlockSize { width_log2: w, height_log2: h },
+                    };
+                    assert_eq!(Block::unpack(block.pack()), Ok(block));
+                }
             }
         }
     }
@@ -109,7 +112,19 @@ fn every_block_survives_packing() {
 #[test]
 fn words_that_are_no_block_are_refused() {
     assert!(Block::unpack(crate::limits::NO_BLOCK).is_err());
-    assert!(Block::unpack(1 << 26).is_err());
-    let beyond = Block { address: BlockAddress { x: 4092, y: 0 }, size: BlockSize::new(3, 2).unwrap() };
+    assert!(Block::unpack(1 << 31).is_err());
+    let beyond =
+        Block { address: BlockAddress { page: 0, x: 4092, y: 0 }, size: BlockSize::new(3, 2).unwrap() };
     assert!(Block::unpack(beyond.pack()).is_err());
+    let beyond =
+        Block { address: BlockAddress { page: 1, x: 2044, y: 0 }, size: BlockSize::new(3, 2).unwrap() };
+    assert!(Block::unpack(beyond.pack()).is_err(), "a page of the store is smaller than the largest atlas");
+}
+
+#[test]
+fn blocks_of_two_pages_share_no_texel() {
+    let block =
+        |page| Block { address: BlockAddress { page, x: 8, y: 8 }, size: BlockSize::new(3, 3).unwrap() };
+    assert!(block(1).overlaps(block(1)) && !block(0).overlaps(block(1)) && !block(1).overlaps(block(2)));
+    assert!(block(1).is_stored() && !block(0).is_stored());
 }

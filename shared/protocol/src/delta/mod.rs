@@ -20,12 +20,12 @@ use crate::time::WorldTime;
 use crate::wire::{DeltaHead, GEOMETRY_MAGIC, Reader, WireError, check_count, invalid, peek_delta};
 use batches::{put_samples, take_samples};
 use sections::{
-    put_coverage, put_evictions, put_instances, put_patches, put_placements, put_skinned, put_vertices,
-    take_coverage, take_evictions, take_instances, take_patches, take_placements, take_skinned,
-    take_vertices,
+    put_coverage, put_evictions, put_instances, put_patches, put_placements, put_settled, put_skinned,
+    put_vertices, take_coverage, take_evictions, take_instances, take_patches, take_placements, take_settled,
+    take_skinned, take_vertices,
 };
 
-const SECTIONS: usize = 11;
+const SECTIONS: usize = 12;
 
 /// What an update tells the client beside its picture, or what it is told of samples between two updates.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -99,6 +99,8 @@ pub struct DeltaSizes {
     pub placement_bytes: usize,
     /// Which texels of blocks are covered.
     pub coverage_bytes: usize,
+    /// Blocks that settle.
+    pub settled_bytes: usize,
     /// Samples, first ones included.
     pub sample_bytes: usize,
     /// Vertex samples coded in `sample_bytes`.
@@ -147,6 +149,13 @@ impl DeltaEncoder {
     #[must_use]
     pub fn with_motion(mut self, motion: MotionMemory) -> Self {
         self.memory = self.memory.with_motion(motion);
+        self
+    }
+
+    /// With so many pages of the store.
+    #[must_use]
+    pub fn with_store(mut self, pages: u32) -> Self {
+        self.memory = self.memory.with_store(pages);
         self
     }
 
@@ -199,6 +208,7 @@ impl DeltaEncoder {
         put_samples(&mut sections[8], samples, &entered.sampled, &self.memory.sampled_slots(), code);
         put_predictions(&mut sections[9], &geometry.predictions);
         put_coverage(&mut sections[10], &geometry.coverage);
+        put_settled(&mut sections[11], &geometry.settled);
         let bytes = put_header_and([self.next, u32::from(is_update)], geometry, &sections);
         self.next = self.next.saturating_add(1);
         assert!(bytes.len() <= MAX_DELTA_BYTES, "delta {} has {} bytes", update.0, bytes.len());
@@ -213,6 +223,7 @@ impl DeltaEncoder {
             sample_bytes: length(&[8]),
             prediction_bytes: length(&[9]),
             coverage_bytes: length(&[10]),
+            settled_bytes: length(&[11]),
             new_vertices: geometry.new_vertices.len(),
             new_rests: geometry.new_rests.len(),
             samples: samples.iter().map(|batch| batch.values.len()).sum(),
@@ -236,6 +247,13 @@ impl DeltaDecoder {
     #[must_use]
     pub fn with_motion(mut self, motion: MotionMemory) -> Self {
         self.memory = self.memory.with_motion(motion);
+        self
+    }
+
+    /// With so many pages of the store.
+    #[must_use]
+    pub fn with_store(mut self, pages: u32) -> Self {
+        self.memory = self.memory.with_store(pages);
         self
     }
 
@@ -278,6 +296,7 @@ impl DeltaDecoder {
             samples,
             predicted,
             coverage,
+            settled,
         ] = sections;
         let vertex_slots = self.memory.vertex_slots() as usize;
         let patch_slots = self.memory.patch_slots() as usize;
@@ -294,6 +313,7 @@ impl DeltaDecoder {
             new_patches: take_patches(patches, patch_slots)?,
             coverage: take_coverage(coverage, &placements)?,
             placements,
+            settled: take_settled(settled, patch_slots)?,
             predictions: take_predictions(predicted, vertex_slots)?,
         };
         let entered = self.memory.apply(&geometry)?;

@@ -2,7 +2,7 @@
 
 use crate::atlas::{Block, PatchKind};
 use crate::coverage::Coverage;
-use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Skinned};
+use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Settled, Skinned};
 use crate::ids::{InstanceId, PatchSlot, RestId, VertexSlot};
 use crate::limits::{MAX_COORDINATE_M, MAX_COVERED_TEXELS, MAX_INSTANCES, NO_BLOCK};
 use crate::motion::rest::MeshInfo;
@@ -255,6 +255,31 @@ pub(super) fn take_placements(
     }
     reader.finish()?;
     Ok(placements)
+}
+
+/// Slot, then where to.
+pub(super) fn put_settled(out: &mut Vec<u8>, settled: &[Settled]) {
+    put_varint(out, settled.len() as u32);
+    let mut previous = BEFORE_FIRST;
+    for Settled { slot, to } in settled {
+        put_successor(out, &mut previous, slot.0);
+        out.extend_from_slice(&to.pack().to_le_bytes());
+    }
+}
+
+pub(super) fn take_settled(section: &[u8], patch_slots: usize) -> Result<Vec<Settled>, WireError> {
+    const WHAT: &str = "settled blocks";
+    let mut reader = Reader::new(WHAT, section);
+    let count = reader.count(patch_slots, 5)?;
+    let mut settled = Vec::with_capacity(count);
+    let mut previous = BEFORE_FIRST;
+    for _ in 0..count {
+        let slot = PatchSlot(take_successor(&mut reader, &mut previous)?);
+        let to = Block::unpack(reader.u32()?).map_err(|error| invalid(WHAT, error.to_string()))?;
+        settled.push(Settled { slot, to });
+    }
+    reader.finish()?;
+    Ok(settled)
 }
 
 /// Slot, then the bits.

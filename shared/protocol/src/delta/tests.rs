@@ -2,7 +2,7 @@ use super::sections::{put_evictions, put_patches, put_placements, put_vertices};
 use super::*;
 use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use crate::coverage::Coverage;
-use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex};
+use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Settled};
 use crate::ids::InstanceId;
 use crate::limits::{MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS};
 use crate::motion::predicted::{PredictedVertex, Prediction};
@@ -13,6 +13,7 @@ use std::collections::BTreeMap;
 
 const VERTEX_SLOTS: u32 = 600;
 const PATCH_SLOTS: u32 = 300;
+const STORE_PAGES: u32 = 2;
 
 /// A server that does random but lawful things, and so makes deltas of every kind.
 struct Chaos {
@@ -143,12 +144,18 @@ impl Chaos {
     fn place(&mut self, delta: &mut GeometryDelta) {
         for &slot in self.patches.keys() {
             if self.dice.once_in(2) {
-                let address =
-                    BlockAddress { x: self.dice.below(500) as u16 * 4, y: self.dice.below(300) as u16 * 4 };
+                let page =
+                    if self.dice.once_in(3) { 1 + self.dice.below(STORE_PAGES.into()) as u8 } else { 0 };
+                let [x, y] = [480, 300].map(|end| self.dice.below(end) as u16 * 4);
+                let address = BlockAddress { page, x, y };
                 let (width_log2, height_log2) = (2 + self.dice.below(6) as u8, 2 + self.dice.below(6) as u8);
                 let block = Block { address, size: BlockSize { width_log2, height_log2 } };
                 let block = (!self.dice.once_in(5)).then_some(block);
                 delta.placements.push((PatchSlot(slot), block));
+                if let Some(block) = block.filter(|block| !block.is_stored() && self.dice.once_in(3)) {
+                    let to = Block { address: BlockAddress { page: 2, x: 64, y: 32 }, ..block };
+                    delta.settled.push(Settled { slot: PatchSlot(slot), to });
+                }
                 if let Some(block) = block.filter(|_| self.dice.once_in(3)) {
                     let often = 2 + self.dice.below(30);
                     let coverage = Coverage::from_fn(block.size.texels(), |_| self.dice.once_in(often));
@@ -198,8 +205,8 @@ impl Chaos {
 fn both_sides_stay_in_step_through_random_sessions() {
     for seed in 0..30 {
         let mut chaos = Chaos::new(seed);
-        let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
-        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
+        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
         for _ in 0..60 {
             let delta = chaos.delta();
             let encoded = coder.encode(&delta);
@@ -215,8 +222,8 @@ fn both_sides_stay_in_step_through_random_sessions() {
 fn damaged_deltas_give_values_or_errors() {
     for seed in 0..4 {
         let mut chaos = Chaos::new(seed);
-        let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
-        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+        let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
+        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
         for _ in 0..5 {
             let bytes = coder.encode(&chaos.delta()).bytes;
             damaged(&bytes, seed, 400, |bytes| {
@@ -399,6 +406,34 @@ fn coverage_is_that_of_a_block_that_the_same_delta_places() {
     assert_refused(&covering(0, &[0, 3, 14]), "a run of a block's coverage");
     assert!(decode(&covering(0, &[0, 3, 13, 0])).is_err(), "something follows");
     assert!(decode(&covering(0, &[0, 3])).is_err(), "something lacks");
+}
+
+#[test]
+fn blocks_settle_from_the_atlas_into_pages_that_were_agreed() {
+    let block = |page, height_log2| Block {
+        address: BlockAddress { page, x: 8, y: 8 },
+        size: BlockSize { width_log2: 2, height_log2 },
+    };
+    let refused = |settled: Settled, placement: Block| {
+        let mut memory = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(2);
+        memory.decode(&covering(0, &[0, 3, 13])).expect("a patch");
+        let placements = vec![(PatchSlot(0), Some(placement))];
+        let delta = GeometryDelta { placements, settled: vec![settled], ..Default::default() };
+        memory.memory().clone().apply(&delta).err().map(|error| error.to_string())
+    };
+    let to = |to| Settled { slot: PatchSlot(0), to };
+    assert_eq!(refused(to(block(2, 3)), block(0, 3)), None);
+    for (settled, placement, words) in [
+        (to(block(2, 4)), block(0, 3), "no block of this size"),
+        (to(block(0, 3)), block(0, 3), "no block of this size"),
+        (to(block(2, 3)), block(1, 3), "no block of this size"),
+        (Settled { slot: PatchSlot(2), to: block(2, 3) }, block(0, 3), "no block of this size"),
+        (to(block(3, 3)), block(0, 3), "page 3 of 2"),
+        (to(block(2, 3)), block(3, 3), "page 3 of 2"),
+    ] {
+        let said = refused(settled, placement).expect("refused");
+        assert!(said.contains(words), "{said}");
+    }
 }
 
 #[test]

@@ -332,6 +332,7 @@ fn offer() -> ServerOffer {
         patch_slots: MAX_PATCH_SLOTS,
         motion: MotionMemory::DEFAULT,
         unsampled: None,
+        store_pages: 0,
         codecs: vec![Codec::H264],
         environment: Environment { zenith: [0.2; 3], horizon: [0.3; 3], nadir: [0.1; 3] },
         world_from_stage: Pose { position: Vec3::ZERO, orientation: Quat::IDENTITY },

@@ -41,7 +41,7 @@ fn blocks() -> Vec<Block> {
             at = [4, at[1] + row_height + 4];
             row_height = 0;
         }
-        let block = Block { address: BlockAddress { x: at[0] as u16, y: at[1] as u16 }, size };
+        let block = Block { address: BlockAddress { page: 0, x: at[0] as u16, y: at[1] as u16 }, size };
         assert!(block.fits(ATLAS.texels()));
         at[0] += size.width() + 4;
         row_height = row_height.max(size.height());
@@ -229,7 +229,7 @@ fn gpu_and_twin_agree_on_colours_between_texels() {
     let bench = Bench::new();
     let (picture, luma) = noise();
     let size = BlockSize::new(4, 3).expect("a size");
-    let block = Block { address: BlockAddress { x: 36, y: 20 }, size };
+    let block = Block { address: BlockAddress { page: 0, x: 36, y: 20 }, size };
     let screen = [[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]];
     let mut shown = Patches { patches: Vec::new(), positions: Vec::new() };
     shown.add(block, PatchKind::Two, screen, 0.5);
