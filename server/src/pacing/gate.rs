@@ -133,6 +133,11 @@ impl UpdateGate {
         self.needs.note(update, kind, bytes as f64, now_ns, self.period_ns);
     }
 
+    /// The way carries something again after it carried nothing: the time between says nothing of its rate.
+    pub(crate) fn resumed(&mut self) {
+        self.waiting = None;
+    }
+
     /// Whether an update may be made now.
     pub(crate) fn may_update(&mut self, way: &WayState, now_ns: i64) -> bool {
         self.observe(way, now_ns);

@@ -177,6 +177,7 @@ impl<U: Updates> Viewer<U> {
     fn set_away(&mut self, is_away: bool) {
         if std::mem::replace(&mut self.is_away, is_away) != is_away {
             self.updates.interrupted();
+            self.gate.resumed();
             self.motion.iter().for_each(|motion| lock(motion).set_away(is_away));
         }
     }

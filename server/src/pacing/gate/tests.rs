@@ -156,6 +156,21 @@ fn a_link_that_gets_faster_is_used_a_quarter_more_with_each_second_and_never_at_
 }
 
 #[test]
+fn the_time_in_which_nothing_came_says_nothing_of_the_rate() {
+    let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(12.5e6));
+    link.window_bytes = 500_000;
+    run(&mut gate, &mut link, 3, [3_000, 12_000]);
+    link.bytes_s = 0.0;
+    run(&mut gate, &mut link, 3, [3_000, 12_000]);
+    link.pass(2_000_000_000); // the client is away
+    link.bytes_s = 12.5e6;
+    gate.resumed();
+    let made = run(&mut gate, &mut link, 3, [3_000, 12_000]).len() as i64;
+    assert!(made >= 3_000_000_000 / PERIOD_NS - 3, "{made} updates");
+    assert_eq!(gate.rate_bytes_s(link.now_ns), None);
+}
+
+#[test]
 fn nobody_is_told_of_a_link_that_is_behind_for_a_moment() {
     let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(125_000.0));
     run(&mut gate, &mut link, 1, [40_000, 20_000]);
