@@ -95,6 +95,11 @@ impl Atlas {
         ((cell as u32 / across) << CELL_LOG2, (cell as u32 % across) << CELL_LOG2)
     }
 
+    /// What it was made for.
+    pub(crate) fn extent(&self) -> AtlasExtent {
+        self.extent
+    }
+
     /// Width and height in texels.
     pub(crate) fn extent_texels(&self) -> [u32; 2] {
         self.extent.texels()

@@ -5,12 +5,14 @@
 
 mod around;
 mod density;
+mod served;
 
 use crate::atlas::allocator::Atlas;
 use crate::atlas::capacity::{Candidate, Chooser};
 use crate::atlas::layout::density::{DensityStep, Sizes};
 use crate::atlas::placement::{Placed, PlacementChange};
 use crate::atlas::sizing::{Shape, Turn, have_their_turn, least_turns};
+use crate::atlas::store::Store;
 use crate::atlas::surround::{Kept, Surround};
 use crate::pacing::pressure::Pressure;
 use crate::pacing::room::Room;
@@ -20,6 +22,7 @@ use crate::support::merged::merged;
 use crate::visibility::holding::HOLD_UPDATES;
 use crate::visibility::lod_set::{LodInstance, LodSet};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::BLOCK_MIN_LOG2;
 use shadecast_shaders::generated::SeenGpu;
 
@@ -41,6 +44,10 @@ pub struct Layout {
     surround: Surround,
     /// Of that, the patches with a block, or that are to have one, and its size; ascending.
     around: Vec<(ScenePatch, BlockSize)>,
+    /// Copies of blocks that the client keeps.
+    store: Store,
+    /// What is shown from there, ascending.
+    served: Vec<Placed>,
     /// Texels for a pixel that views are measured with.
     asked: f32,
     /// The part of what a block is to have that it has at first.
@@ -120,6 +127,8 @@ impl Layout {
             live: Vec::new(),
             surround: Surround::new(0.0),
             around: Vec::new(),
+            store: Store::default(),
+            served: Vec::new(),
             asked: 1.0,
             new_part: 1.0,
             most_grown_texels: u64::MAX,
@@ -138,6 +147,13 @@ impl Layout {
     #[must_use]
     pub(crate) fn with_surround(mut self, share: f32) -> Self {
         self.surround = Surround::new(share);
+        self
+    }
+
+    /// With so many pages of the client's for what does not change.
+    #[must_use]
+    pub(crate) fn with_store(mut self, pages: u32) -> Self {
+        self.store = Store::new(pages, self.states.len(), self.atlas.extent());
         self
     }
 
@@ -221,7 +237,7 @@ impl Layout {
         &mut self,
         geometry: &impl Geometry,
         lods: &LodSet,
-        room: Room,
+        (room, update): (Room, UpdateId),
         changes: &mut Vec<PlacementChange>,
     ) {
         let mut before = std::mem::take(&mut self.scratch.before);
@@ -229,12 +245,14 @@ impl Layout {
         before.extend(self.all_placed().map(|placed| (placed.patch, placed.block)));
         self.choose(geometry, lods, room);
         self.choose_around(geometry, lods, room);
+        self.serve(update);
         self.release(&before);
         self.recover();
         self.place_live();
         self.place_around(&before);
         changes.clear();
         changes.extend(self.changes(&before));
+        self.note_placed(changes, update);
         self.scratch.before = before;
     }
 
@@ -272,6 +290,9 @@ impl Layout {
             let is_live = self.live.binary_search(patch).is_ok();
             if !is_live {
                 self.states[patch.index()].follows = None;
+            }
+            if block.is_stored() {
+                continue;
             }
             let stays = is_live || around(patch).is_some_and(|size| block.size == size);
             if !stays {
@@ -433,20 +454,22 @@ impl Layout {
             .filter(move |change| old(change.patch) != change.block)
     }
 
-    /// The surround's patches with their blocks, ascending.
+    /// The surround's patches with their blocks in the atlas, ascending.
     pub(crate) fn around(&self) -> impl Iterator<Item = (ScenePatch, Block)> + '_ {
         self.around.iter().filter_map(|(patch, _)| Some((*patch, self.states[patch.index()].block?)))
     }
 
-    /// Patches in view, and those held, with their blocks, ascending.
+    /// Patches in view, and those held, with their blocks in the atlas, ascending.
     pub fn live(&self) -> impl Iterator<Item = (ScenePatch, Block)> + '_ {
         self.live.iter().filter_map(|patch| Some((*patch, self.states[patch.index()].block?)))
     }
 
-    /// Both, ascending.
+    /// Both, and what is shown from the store, ascending.
     pub(crate) fn all_placed(&self) -> impl Iterator<Item = Placed> + '_ {
-        let placed = |is_around| move |(patch, block)| Placed { patch, block, is_around };
-        merged(self.live().map(placed(false)), self.around().map(placed(true)), |a, b| a.patch.cmp(&b.patch))
+        let placed = |is_around| move |(patch, block)| Placed { patch, block, is_around, is_hidden: false };
+        let by_patch = |a: &Placed, b: &Placed| a.patch.cmp(&b.patch);
+        let in_atlas = merged(self.live().map(placed(false)), self.around().map(placed(true)), by_patch);
+        merged(in_atlas, self.served.iter().copied(), by_patch)
     }
 
     /// Patches in view, and those held, with a block.

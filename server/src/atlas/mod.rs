@@ -6,5 +6,6 @@ pub(crate) mod placement;
 pub(crate) mod capacity;
 pub(crate) mod allocator;
 pub(crate) mod sizing;
+pub(crate) mod store;
 pub mod surround;
 pub(crate) mod layout;

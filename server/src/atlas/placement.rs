@@ -3,7 +3,7 @@
 use crate::scene::numbering::ScenePatch;
 use shadecast_protocol::atlas::Block;
 
-/// A patch that has a block.
+/// A patch that has a block, in the atlas or in the store.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) struct Placed {
     /// The patch.
@@ -12,6 +12,8 @@ pub(crate) struct Placed {
     pub block: Block,
     /// It belongs to the surround, which is shaded in turn.
     pub is_around: bool,
+    /// It is in the store and not shown.
+    pub is_hidden: bool,
 }
 
 /// A block that changed with this update.

@@ -134,6 +134,14 @@ impl Residency {
         }
     }
 
+    /// With so many pages of the store.
+    #[must_use]
+    pub(crate) fn with_store(mut self, pages: u32) -> Self {
+        let encoder = lock(&self.coder).encoder().clone().with_store(pages);
+        self.coder = Arc::new(Mutex::new(Coder::new(encoder)));
+        self
+    }
+
     /// With what the client skins by itself.
     #[must_use]
     pub(crate) fn with_skinning(mut self, skinning: Skinning, memory: MotionMemory) -> Self {
@@ -257,6 +265,12 @@ impl Residency {
                 (left.patches - 1, left.vertices - vertices, left.bytes - bytes);
         }
         fits
+    }
+
+    /// The slot of a patch whose client has been told its newest block.
+    pub(crate) fn slot_with_block(&self, patch: ScenePatch) -> Option<PatchSlot> {
+        let waits = self.waiting.binary_search_by_key(&patch, |(patch, _)| *patch).is_ok();
+        self.slot_of_patch[patch.index()].filter(|_| !waits)
     }
 
     /// How many of these patches are not there.

@@ -36,6 +36,10 @@ pub trait Updates {
     }
     /// An update takes about so many nanoseconds.
     fn note_update(&mut self, took_ns: i64);
+    /// An update's picture is coded with this quantiser.
+    fn coded(&mut self, update: UpdateId, qp: u8);
+    /// The client has no picture of updates later than this one, if it has that.
+    fn lost_after(&mut self, after: Option<UpdateId>);
     /// The bytes of an update's delta, in the order of updates.
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta;
     /// What the client is sent of motion between updates, where it is sent any.
@@ -51,8 +55,8 @@ pub struct Reported {
     pub head: Option<HeadState>,
     /// What is on display.
     pub displayed: Option<Displayed>,
-    /// A picture that needs no other is wanted.
-    pub refresh: bool,
+    /// A picture that needs no other is wanted, since those later than this one were lost, or all.
+    pub refresh: Option<Option<UpdateId>>,
     /// Whether somebody looks, where that was told.
     pub watching: Option<bool>,
     /// Whether the way to it carries nothing, where that has changed.
@@ -68,7 +72,7 @@ impl Reported {
         let told = match event {
             ServerEvent::Head(head) => Self { head: Some(head), ..none },
             ServerEvent::Displayed(report) => Self { displayed: Some(report), ..none },
-            ServerEvent::RefreshRequest { .. } => Self { refresh: true, ..none },
+            ServerEvent::RefreshRequest { after } => Self { refresh: Some(after), ..none },
             ServerEvent::Watching(is_watched) => Self { watching: Some(is_watched), ..none },
             ServerEvent::Steer(steer) => Self { steering: Some(steer), ..none },
             other => return Some(other),
@@ -81,7 +85,7 @@ impl Reported {
     pub(crate) fn then(&mut self, later: Self) {
         let Self { head, displayed, refresh, watching, steering, away } = later;
         head.into_iter().for_each(|head| self.head = Some(head));
-        self.refresh |= refresh;
+        self.refresh = self.refresh.into_iter().chain(refresh).min();
         watching.into_iter().for_each(|is_watched| self.watching = Some(is_watched));
         away.into_iter().for_each(|is_away| self.away = Some(is_away));
         if let Some(report) = displayed {
@@ -162,7 +166,10 @@ impl<U: Updates> Viewer<U> {
             self.updates.head(head);
         }
         reported.displayed.iter().for_each(|report| self.updates.displayed(report));
-        self.refresh |= reported.refresh;
+        if let Some(after) = reported.refresh {
+            self.refresh = true;
+            self.updates.lost_after(after);
+        }
         reported.watching.into_iter().for_each(|is_watched| self.watch(is_watched));
         reported.away.into_iter().for_each(|is_away| self.set_away(is_away));
     }
@@ -190,9 +197,10 @@ impl<U: Updates> Viewer<U> {
         }
     }
 
-    /// The next picture must need no other: its encoder is a new one.
+    /// The next picture must need no other: its encoder is a new one, and what the one before had begun is lost.
     pub(crate) fn refresh(&mut self) {
         self.refresh = true;
+        self.updates.lost_after(None);
     }
 
     /// What it is sent of motion between updates.
@@ -238,6 +246,7 @@ impl<U: Updates> Viewer<U> {
         self.last = shaded.update;
         let refresh = std::mem::take(&mut self.refresh);
         let qp = if refresh { self.quality.refresh_qp() } else { self.quality.qp() };
+        self.updates.coded(shaded.update, qp);
         (delta, Update { shaded: Box::new(shaded), sizes: encoded.sizes, refresh, qp })
     }
 

@@ -143,6 +143,7 @@ struct Record {
     /// By how much it looks different, steps of the display.
     steps: f32,
     is_around: bool,
+    is_hidden: bool,
 }
 
 /// See the module.
@@ -206,6 +207,17 @@ impl<S: PartialEq + Default> Reuse<S> {
         &self.due
     }
 
+    /// What the last update shaded, ascending.
+    pub(crate) fn shaded(&self) -> &[Due] {
+        &self.due
+    }
+
+    /// Copies in the store that are not what their patches look like any more.
+    pub(crate) fn stale(&self) -> impl Iterator<Item = ScenePatch> + '_ {
+        let is_stale = |record: &&Record| record.block.is_stored() && record.waits.is_some();
+        self.records.iter().filter(is_stale).map(|record| record.patch)
+    }
+
     /// What the last update shaded and did not.
     pub(crate) fn reused(&self) -> Reused {
         self.reused
@@ -254,9 +266,9 @@ impl<S: PartialEq + Default> Reuse<S> {
         std::mem::swap(&mut self.records, &mut self.before);
         self.records.clear();
         let mut before = self.before.iter().peekable();
-        for Placed { patch, block, is_around } in placed {
+        for Placed { patch, block, is_around, is_hidden } in placed {
             while before.next_if(|record| record.patch < patch).is_some() {}
-            let known = before.next_if(|record| record.patch == patch && record.block == block);
+            let known = before.next_if(|record| record.patch == patch && record.has_become(block));
             let new = || Record {
                 patch,
                 block,
@@ -267,9 +279,10 @@ impl<S: PartialEq + Default> Reuse<S> {
                 waits: Some((Cause::New, self.update)),
                 steps: 0.0,
                 is_around,
+                is_hidden,
             };
-            let record = known.map_or_else(new, |known| Record { is_around, ..*known });
-            if surfaces.is_there(record.instance as usize) {
+            let record = known.map_or_else(new, |known| Record { block, is_around, is_hidden, ..*known });
+            if block.is_stored() || surfaces.is_there(record.instance as usize) {
                 self.records.push(record);
             }
         }
@@ -310,6 +323,7 @@ impl<S: PartialEq + Default> Reuse<S> {
         let (records, update) = (&self.records, self.update);
         let turn = update % SHADED_EVERY_UPDATES;
         let may_be = |record: &Record| match record.waits {
+            _ if record.block.is_stored() => false,
             Some((Cause::New, _)) => true,
             Some(_) => !record.is_around || record.patch.0 % SHADED_EVERY_UPDATES == turn,
             None => false,
@@ -341,13 +355,11 @@ impl<S: PartialEq + Default> Reuse<S> {
     /// What was chosen is as it is to be.
     fn shade(&mut self, world_from_head: Pose, surfaces: &impl Surfaces) {
         self.due.clear();
-        let texels: u64 = self.records.iter().map(|record| u64::from(record.block.size.texels())).sum();
-        self.reused = Reused {
-            blocks: self.records.len() as u32,
-            texels,
-            waiting: self.reused.waiting,
-            ..Reused::default()
-        };
+        let in_atlas = self.records.iter().filter(|record| !record.block.is_stored());
+        let (blocks, texels) = in_atlas.fold((0, 0), |(blocks, texels), record| {
+            (blocks + 1, texels + u64::from(record.block.size.texels()))
+        });
+        self.reused = Reused { blocks, texels, waiting: self.reused.waiting, ..Reused::default() };
         for at in &self.order {
             let record = &mut self.records[*at as usize];
             let Some((cause, _)) = record.waits.take() else { continue };
@@ -368,6 +380,12 @@ impl Record {
         matches!(self.waits, Some((Cause::New, _)))
     }
 
+    /// Whether a block holds what this one did: the same, or its copy in the store.
+    fn has_become(&self, block: Block) -> bool {
+        let has_settled = block.is_stored() && !self.block.is_stored() && self.block.size == block.size;
+        self.block == block || has_settled
+    }
+
     /// Whose turn is first, ascending; no two are alike.
     fn rank(&self, update: u32) -> (bool, Reverse<u32>, Reverse<u64>, ScenePatch) {
         let waited = self.waits.map_or(0, |(_, since)| update - since);
@@ -379,7 +397,7 @@ impl Record {
 
     /// By how much it looks different from a head than from that it was shaded for, steps of the display.
     fn seen_steps(&mut self, world_from_head: Pose, surfaces: &impl Surfaces) -> f32 {
-        if self.world_from_head == world_from_head {
+        if self.is_hidden || self.world_from_head == world_from_head {
             return 0.0;
         }
         let moved_m = self.world_from_head.position.distance(world_from_head.position);
@@ -389,7 +407,10 @@ impl Record {
         let (patch, block) = (self.patch, self.block);
         let receiver = self.receiver.get_or_insert_with(|| surfaces.receiver(patch, block));
         let seen = |head: Pose| Seen::from(head, receiver.centre, receiver.radius_m, receiver.normal);
-        receiver.gloss.steps(&seen(self.world_from_head), &seen(world_from_head), moved_m)
+        // A copy in the store has coarser ones of its own, and gives way to a finer block.
+        let gloss =
+            if block.is_stored() { Gloss { steps_by_octave: 0.0, ..receiver.gloss } } else { receiver.gloss };
+        gloss.steps(&seen(self.world_from_head), &seen(world_from_head), moved_m)
     }
 }
 

@@ -85,6 +85,10 @@ pub struct Shows {
     pub reused: Reused,
     /// Texels of the atlas that were converted for the encoder.
     pub converted_texels: u64,
+    /// Blocks in the store, shown or not.
+    pub stored_blocks: u32,
+    /// Their texels.
+    pub stored_texels: u64,
 }
 
 /// One update, shaded and ready to be encoded.
@@ -223,6 +227,7 @@ impl ViewerUpdates {
     fn record_shading(&mut self, world: &mut World) -> Result<Option<(Placed, Recorder)>, GpuError> {
         let Some(placed) = self.in_flight.take_placed() else { return Ok(None) };
         let recorder = self.shading.record(world, &placed, self.placement.layout())?;
+        self.placement.shaded(placed.update, self.shading.reuse());
         Ok(Some((placed, recorder)))
     }
 

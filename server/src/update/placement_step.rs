@@ -14,14 +14,18 @@ use crate::pacing::density::{Density, Spare};
 use crate::pacing::relief::{Measure, Measures};
 use crate::pacing::room::Room;
 use crate::residency::{Allowance, Residency};
+use crate::scene::geometry::Geometry;
 use crate::scene::numbering::ScenePatch;
+use crate::shading::reuse::Reuse;
 use crate::update::eye::EyeSize;
 use crate::update::policy::UpdatePolicy;
 use crate::update::visibility_step::{Aim, Fit, PlacementInput, Seen};
 use crate::visibility::detail::{Detail, ErrorFactors};
 use crate::visibility::lod_set::{LodInstance, LodSet};
 use crate::visibility::predict::PredictedViews;
+use crate::world::moment::Stance;
 use crate::world::{Site, World};
+use shadecast_protocol::geometry::Settled;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::Welcome;
 use std::sync::Arc;
@@ -81,9 +85,11 @@ impl PlacementStep {
             eye,
             policy: policy.clone(),
             layout: Layout::new(welcome.atlas_extent_texels, scene.numbering.totals.patches as usize)
-                .with_surround(surround),
+                .with_surround(surround)
+                .with_store(welcome.store_pages),
             changes: Vec::new(),
             residency: Residency::new(counts, welcome.patch_slots, welcome.vertex_slots)
+                .with_store(welcome.store_pages)
                 .with_skinning(Skinning::new(scene, timeline, welcome.motion), welcome.motion),
             room,
             shortage: Shortage::default(),
@@ -204,10 +210,11 @@ impl PlacementStep {
         PlacementInput { start, lods, .. }: &PlacementInput,
     ) -> UpdateDelta {
         let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
-        self.layout.place(world.samples(), lods, self.room, &mut changes); // 4, 5
+        self.layout.place(world.samples(), lods, (self.room, start.update), &mut changes); // 4, 5
         self.density.note(self.spare, self.layout.settled_share(), self.layout.density() < 1.0);
         let began = world.effort().begin();
-        let delta = self.delta(world, start.update, &start.views, &changes); // 8
+        let mut delta = self.delta(world, start.update, &start.views, &changes); // 8
+        self.settle(world, start.update, &mut delta);
         world.effort_mut().add_delta(began);
         self.changes = changes;
         self.report_shortage();
@@ -275,7 +282,8 @@ impl PlacementStep {
         let (scene, eyes) = (world.scene(), views.eyes.iter().flatten());
         let wanted_m = wanted_steps_m(&scene.world_bounds, eyes, self.eye.pixels_per_radian());
         self.residency.want_steps(wanted_m);
-        self.residency.put_behind(self.layout.around().map(|(patch, _)| patch));
+        let around = self.layout.all_placed().filter(|placed| placed.is_around);
+        self.residency.put_behind(around.map(|placed| placed.patch));
         let stamp = UpdateStamp { update, time: views.begun };
         let mut delta = self.residency.update(world.samples(), changes, stamp);
         if self.residency.predicts() {
@@ -283,6 +291,44 @@ impl PlacementStep {
                 predictions(scene, world.timeline(), views.begun, self.residency.moving());
         }
         delta
+    }
+
+    /// Lets blocks settle whose surfaces neither move nor are cut out.
+    fn settle(&mut self, world: &World, update: UpdateId, delta: &mut UpdateDelta) {
+        let (geometry, residency) = (world.samples(), &self.residency);
+        let stands = |patch: ScenePatch| {
+            let first = geometry.first_vertex(geometry.instance_of_patch(patch));
+            geometry.static_position(first).is_some() && !geometry.is_masked(patch)
+        };
+        let may = |patch: ScenePatch| residency.slot_with_block(patch).is_some() && stands(patch);
+        let settled = &mut delta.geometry.settled;
+        let put =
+            |patch, to| settled.extend(residency.slot_with_block(patch).map(|slot| Settled { slot, to }));
+        self.layout.settle(update, may, put);
+        settled.sort_unstable_by_key(|settled| settled.slot);
+    }
+
+    /// An update shaded this and found that stale.
+    pub(crate) fn shaded(&mut self, update: UpdateId, reuse: &Reuse<Stance>) {
+        let store = self.layout.store_mut();
+        reuse.shaded().iter().for_each(|due| store.shaded(due.patch, update));
+        reuse.stale().for_each(|patch| store.give_up(patch));
+    }
+
+    /// An update's picture is coded with this quantiser.
+    pub(crate) fn coded(&mut self, update: UpdateId, qp: u8) {
+        self.layout.store_mut().coded(update, qp);
+    }
+
+    /// Pictures of updates later than `after` were lost.
+    pub(crate) fn lost_after(&mut self, after: Option<UpdateId>) {
+        self.layout.store_mut().lost_after(after);
+    }
+
+    /// The client shows no update before this one any more.
+    pub(crate) fn displayed(&mut self, update: UpdateId) {
+        self.residency.displayed(update);
+        self.layout.store_mut().displayed(update);
     }
 
     fn report_shortage(&mut self) {

@@ -12,6 +12,7 @@ use crate::shading::reuse::Reused;
 use crate::world::World;
 use shadecast_gpu::Image;
 use shadecast_protocol::delta::EncodedDelta;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Displayed, HeadState};
 
 /// A viewer's first update takes about so many times as long as the rehearsal's, whose picture is small.
@@ -30,7 +31,7 @@ impl ViewerUpdates {
 
     /// The client shows an update: frees slots, and teaches the prediction how long the way is.
     pub fn displayed(&mut self, report: &Displayed) {
-        self.placement.residency.displayed(report.update);
+        self.placement.displayed(report.update);
         if let Some(begun) = self.numbers.displayed(report.update) {
             self.head.displayed(begun, report.display_time);
         }
@@ -44,6 +45,16 @@ impl ViewerUpdates {
     /// Whether bits and time are left over by the updates that it makes.
     pub(crate) fn set_spare(&mut self, spare: Spare) {
         self.placement.set_spare(spare);
+    }
+
+    /// An update's picture is coded with this quantiser.
+    pub(crate) fn coded(&mut self, update: UpdateId, qp: u8) {
+        self.placement.coded(update, qp);
+    }
+
+    /// The client has no picture of updates later than this one, if it has that.
+    pub(crate) fn lost_after(&mut self, after: Option<UpdateId>) {
+        self.placement.lost_after(after);
     }
 
     /// An update takes about so many nanoseconds.
@@ -121,7 +132,7 @@ impl ViewerUpdates {
     /// What the last update shows.
     pub fn shows(&self, world: &World) -> Shows {
         let (layout, detail) = (self.placement.layout(), self.visibility.detail());
-        let drawn = || layout.live().chain(layout.around()).map(|(patch, _)| patch);
+        let drawn = || layout.all_placed().map(|placed| placed.patch);
         Shows {
             patches: drawn().count() as u32,
             triangles: drawn().map(|patch| world.scene().patch(patch).drawn_triangles()).sum(),
@@ -131,6 +142,8 @@ impl ViewerUpdates {
             pairs: self.visibility.pairs(),
             reused: self.reused(),
             converted_texels: self.shading.converted_texels(),
+            stored_blocks: layout.store().count() as u32,
+            stored_texels: layout.store().texels(),
         }
     }
 }

@@ -140,7 +140,7 @@ impl ShadingStep {
         let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
         let mut recorder = world.gpu().record()?;
         let time = self.policy.light(world, &mut recorder, *update, (middle, place));
-        let (surfaces, placed) = (world.surfaces(time, place), layout.all_placed());
+        let (surfaces, placed) = (world.surfaces(time, place), layout.remembered());
         let moment = |now: &mut Moment<Stance>| world.moment(time, now);
         let due = self.reuse.due(moment, views.world_from_head, placed, &surfaces, self.allowed_texels());
         let blocks = due.iter().map(|due| (due.patch, due.block));

@@ -31,7 +31,9 @@ impl Layout {
                 area_texels: u32::from(seen.extent[0]) * u32::from(seen.extent[1]),
                 is_shown: block.is_some(),
             };
-            kept.push(Kept { candidate, texels: u64::from(size.texels()) });
+            // A copy in the store takes nothing of the atlas.
+            let texels = if self.store.has(seen.patch) { 0 } else { u64::from(size.texels()) };
+            kept.push(Kept { candidate, texels });
             self.around.push((seen.patch, size));
         }
         let [width, height] = self.atlas.extent_texels();

@@ -24,7 +24,7 @@ fn placed_in(
     lods: &LodSet,
 ) -> Vec<PlacementChange> {
     let mut changes = Vec::new();
-    layout.place(geometry, lods, room, &mut changes);
+    layout.place(geometry, lods, (room, UpdateId(layout.update)), &mut changes);
     changes
 }
 

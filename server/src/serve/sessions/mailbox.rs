@@ -132,7 +132,10 @@ mod tests {
         }
         let reported = mailbox.take()[&PeerId(1)].reported;
         let report = reported.displayed.expect("one");
-        assert_eq!((report.update, report.display_frames, reported.refresh), (UpdateId(999), 2000, true));
+        assert_eq!(
+            (report.update, report.display_frames, reported.refresh),
+            (UpdateId(999), 2000, Some(None))
+        );
         assert!(mailbox.take().is_empty());
     }
 

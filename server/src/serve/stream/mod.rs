@@ -37,7 +37,7 @@ use outlet::Outlet;
 use pipeline::{Pipeline, Studio};
 use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::AtlasExtent;
-use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{MAX_PATCH_SLOTS, MAX_STORE_PAGES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, Refused, ResumeSecret, ServerOffer};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::{DEFAULT_GRID, ServerTime};
@@ -115,7 +115,7 @@ pub fn offer(scene: &SceneGpu, atlas_extent_texels: AtlasExtent, rate_hz: f64, s
         patch_slots: MAX_PATCH_SLOTS,
         motion: scene.motion.memory(),
         unsampled: scene.motion.unsampled_memory(),
-        store_pages: 0,
+        store_pages: MAX_STORE_PAGES,
         codecs: vec![Codec::H264],
         environment: Environment {
             zenith: environment.zenith.to_array(),

@@ -23,6 +23,7 @@ use crate::update::{Shaded, ViewerUpdates};
 use crate::world::{Site, ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError, HeldPipelines};
 use shadecast_protocol::delta::EncodedDelta;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Capabilities, Codec, Displayed, HeadState, Welcome};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::world_clock::Steering;
@@ -299,6 +300,14 @@ impl Updates for ViewerUpdates {
 
     fn note_update(&mut self, took_ns: i64) {
         Self::note_update(self, took_ns);
+    }
+
+    fn coded(&mut self, update: UpdateId, qp: u8) {
+        Self::coded(self, update, qp);
+    }
+
+    fn lost_after(&mut self, after: Option<UpdateId>) {
+        Self::lost_after(self, after);
     }
 
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {

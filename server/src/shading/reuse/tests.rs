@@ -66,8 +66,12 @@ fn block(x: u16, side_log2: u8) -> Block {
 
 /// All patches with blocks of 8x8 texels.
 fn all() -> Vec<Placed> {
-    let placed =
-        |patch: u32| Placed { patch: ScenePatch(patch), block: block(8 * patch as u16, 3), is_around: false };
+    let placed = |patch: u32| Placed {
+        patch: ScenePatch(patch),
+        block: block(8 * patch as u16, 3),
+        is_around: false,
+        is_hidden: false,
+    };
     (0..PATCHES * INSTANCES as u32).map(placed).collect()
 }
 

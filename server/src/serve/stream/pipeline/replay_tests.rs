@@ -224,6 +224,10 @@ impl Updates for SimulatedUpdates {
 
     fn note_update(&mut self, _: i64) {}
 
+    fn coded(&mut self, _: UpdateId, _: u8) {}
+
+    fn lost_after(&mut self, _: Option<UpdateId>) {}
+
     fn encode(&mut self, delta: &UpdateDelta) -> EncodedDelta {
         let mut encoder = DeltaEncoder::new(1, 1).from_delta(delta.geometry.update.0);
         encoder.encode(&delta.geometry.clone().into())

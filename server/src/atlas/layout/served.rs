@@ -1,0 +1,70 @@
+//! What is shown from the store, and what settles there.
+
+use super::Layout;
+use crate::atlas::placement::{Placed, PlacementChange};
+use crate::atlas::sizing::wanted_size;
+use crate::atlas::store::Store;
+use crate::scene::numbering::ScenePatch;
+use crate::support::merged::merged;
+use shadecast_protocol::atlas::{Block, BlockSize};
+use shadecast_protocol::ids::UpdateId;
+
+impl Layout {
+    /// Takes out of what needs a block in the atlas what the store has.
+    pub(super) fn serve(&mut self, update: UpdateId) {
+        self.store.begin();
+        let density = self.asked * self.density();
+        let Self { live, around, store, served, states, .. } = self;
+        served.clear();
+        live.retain(|patch| {
+            let state = states[patch.index()];
+            let extent = state.extent.map(|side| f32::from(side) * density / state.extent_density);
+            let served_from = store.serve(*patch, update, |size| wanted_size(extent, Some(size)));
+            let placed = |block| Placed { patch: *patch, block, is_around: false, is_hidden: false };
+            served.extend(served_from.map(placed));
+            served_from.is_none()
+        });
+        around.retain(|(patch, _)| {
+            // However coarse it is: it is there in case.
+            let served_from = store.serve(*patch, update, |_| BlockSize { width_log2: 0, height_log2: 0 });
+            let placed = |block| Placed { patch: *patch, block, is_around: true, is_hidden: false };
+            served.extend(served_from.map(placed));
+            served_from.is_none()
+        });
+        served.sort_unstable_by_key(|placed| placed.patch);
+    }
+
+    /// Blocks of the atlas that are new will be shaded.
+    pub(super) fn note_placed(&mut self, changes: &[PlacementChange], update: UpdateId) {
+        let in_atlas = |change: &&PlacementChange| change.block.is_some_and(|block| !block.is_stored());
+        changes.iter().filter(in_atlas).for_each(|change| self.store.shaded(change.patch, update));
+    }
+
+    /// The blocks that settle with an update, of those in view that may: each patch with its place in the store.
+    pub(crate) fn settle(
+        &mut self,
+        update: UpdateId,
+        may: impl Fn(ScenePatch) -> bool,
+        put: impl FnMut(ScenePatch, Block),
+    ) {
+        let Self { live, states, store, .. } = self;
+        let in_atlas = live.iter().filter_map(|patch| Some((*patch, states[patch.index()].block?)));
+        store.settle(update, in_atlas.filter(|(patch, _)| may(*patch)), put);
+    }
+
+    /// All that has a block in the atlas or in the store, shown or not, ascending.
+    pub(crate) fn remembered(&self) -> impl Iterator<Item = Placed> + '_ {
+        let hidden = |(patch, block)| Placed { patch, block, is_around: false, is_hidden: true };
+        merged(self.store.copies().map(hidden), self.all_placed(), |a, b| a.patch.cmp(&b.patch))
+    }
+
+    /// The store.
+    pub(crate) fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The same, to tell it what has become of blocks.
+    pub(crate) fn store_mut(&mut self) -> &mut Store {
+        &mut self.store
+    }
+}

@@ -1,0 +1,231 @@
+//! The store: copies of settled blocks in the client's memory, which the server alone manages. Pure.
+//!
+//! A block in view whose colours have not changed for some updates is copied by the client from the atlas of an update's picture. From the
+//! next update on its patch is shown from the store, and its room in the atlas is another's. Copies stay when their patches leave the view,
+//! until their place is needed: those go first that were not shown for longest. A place is given to another copy once the client shows no
+//! update any more that names it.
+
+use crate::atlas::allocator::Atlas;
+use crate::scene::numbering::ScenePatch;
+use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
+use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::limits::STORE_PAGE_SIDE;
+use std::collections::{BTreeMap, VecDeque};
+
+/// Updates since a block was shaded before it settles: it has been coded more than once, and a shadow that passes is gone.
+const SETTLES_AFTER_UPDATES: u32 = 6;
+/// Updates whose quantisers are remembered.
+const REMEMBERED_UPDATES: usize = 64;
+/// A copy is made anew where pictures are finer than when it was made, by so many steps of the quantiser: its error is halved.
+const FINER_STEPS: u8 = 6;
+/// A copy made with this quantiser or a finer one stays.
+const FINE_QP: u8 = 20;
+/// Part of the texels of the atlas that settle with an update at most: the client copies them in one display frame.
+const MOST_SETTLED_PART: u64 = 20;
+/// The same for copies that are given up in view with an update, for a finer one.
+const MOST_RENEWED_PART: u64 = 64;
+/// Where there is no place, room is made for so many copies at once.
+const EVICTED_TOGETHER: usize = 256;
+
+/// See the module.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Store {
+    pages: Vec<Atlas>,
+    copies: BTreeMap<ScenePatch, Copy>,
+    /// Places to be free once an update later than this one is on display.
+    leaving: VecDeque<(UpdateId, Block)>,
+    /// By patch: the update with which it was shaded last, and one; 0: never.
+    shaded: Vec<u32>,
+    /// Quantisers of the newest pictures, the last one first.
+    qps: VecDeque<(UpdateId, u8)>,
+    displayed: Option<UpdateId>,
+    /// Texels that may still be renewed with this update.
+    renewable_texels: u64,
+    atlas_texels: u64,
+}
+
+/// A block in the store.
+#[derive(Clone, Copy, Debug)]
+struct Copy {
+    block: Block,
+    /// The update whose picture it is of.
+    settled: UpdateId,
+    /// The last update that showed it.
+    shown: UpdateId,
+    /// The finest quantiser that it was coded with.
+    qp: u8,
+}
+
+impl Store {
+    /// Of so many pages, for a scene of so many patches and an atlas of this extent.
+    pub(crate) fn new(pages: u32, patches: usize, atlas: AtlasExtent) -> Self {
+        let page =
+            AtlasExtent::new(STORE_PAGE_SIDE, STORE_PAGE_SIDE).expect("a page is as large as some atlas");
+        Self {
+            pages: vec![Atlas::new(page); pages as usize],
+            shaded: vec![0; if pages > 0 { patches } else { 0 }],
+            atlas_texels: u64::from(atlas.width()) * u64::from(atlas.height()),
+            ..Self::default()
+        }
+    }
+
+    /// An update begins to be placed.
+    pub(crate) fn begin(&mut self) {
+        self.renewable_texels = self.atlas_texels / MOST_RENEWED_PART;
+    }
+
+    /// The copy that a patch is shown from with this update, where there is one. `wanted` says what its block would be, given the size of
+    /// the copy. One that is too coarse, or coded coarsely for today, is given up, a few with each update.
+    pub(crate) fn serve(
+        &mut self,
+        patch: ScenePatch,
+        update: UpdateId,
+        wanted: impl Fn(BlockSize) -> BlockSize,
+    ) -> Option<Block> {
+        let newest_qp = self.qps.front().map(|(_, qp)| *qp);
+        let copy = self.copies.get_mut(&patch)?;
+        if copy.settled >= update {
+            return None;
+        }
+        let wanted = wanted(copy.block.size);
+        let size = copy.block.size;
+        let outgrown = wanted.width_log2 > size.width_log2 || wanted.height_log2 > size.height_log2;
+        let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + FINER_STEPS);
+        let texels = u64::from(wanted.texels());
+        if (outgrown || is_coarse) && texels <= self.renewable_texels {
+            self.renewable_texels -= texels;
+            self.give_up(patch);
+            return None;
+        }
+        copy.shown = update;
+        Some(copy.block)
+    }
+
+    /// Whether there is a copy to show a patch from.
+    pub(crate) fn has(&self, patch: ScenePatch) -> bool {
+        self.copies.contains_key(&patch)
+    }
+
+    /// Every copy, ascending by patch.
+    pub(crate) fn copies(&self) -> impl Iterator<Item = (ScenePatch, Block)> + '_ {
+        self.copies.iter().map(|(patch, copy)| (*patch, copy.block))
+    }
+
+    /// How many there are.
+    pub(crate) fn count(&self) -> usize {
+        self.copies.len()
+    }
+
+    /// Texels of all copies.
+    pub(crate) fn texels(&self) -> u64 {
+        self.pages.iter().map(Atlas::used_texels).sum()
+    }
+
+    /// A patch was shaded with an update: what is in the store is not what it looks like.
+    pub(crate) fn shaded(&mut self, patch: ScenePatch, update: UpdateId) {
+        if let Some(shaded) = self.shaded.get_mut(patch.index()) {
+            *shaded = update.0 + 1;
+        }
+    }
+
+    /// A copy is not what its patch looks like any more.
+    pub(crate) fn give_up(&mut self, patch: ScenePatch) {
+        if let Some(Copy { block, shown, settled, .. }) = self.copies.remove(&patch) {
+            self.leaving.push_back((shown.max(settled), block));
+        }
+    }
+
+    /// An update's picture is coded with this quantiser.
+    pub(crate) fn coded(&mut self, update: UpdateId, qp: u8) {
+        self.qps.push_front((update, qp));
+        self.qps.truncate(REMEMBERED_UPDATES);
+    }
+
+    /// Pictures of updates later than `after` were lost: so were copies of them.
+    pub(crate) fn lost_after(&mut self, after: Option<UpdateId>) {
+        let is_lost = |copy: &Copy| after.is_none_or(|after| copy.settled > after);
+        let lost: Vec<ScenePatch> =
+            self.copies.iter().filter(|(_, copy)| is_lost(copy)).map(|(patch, _)| *patch).collect();
+        lost.into_iter().for_each(|patch| self.give_up(patch));
+    }
+
+    /// The client shows no update before this one any more.
+    pub(crate) fn displayed(&mut self, update: UpdateId) {
+        self.displayed = Some(self.displayed.map_or(update, |known| known.max(update)));
+        let Self { pages, leaving, .. } = self;
+        leaving.retain(|(last, block)| {
+            let is_free = *last < update;
+            if is_free {
+                pages[usize::from(block.address.page) - 1].free(in_page(*block));
+            }
+            !is_free
+        });
+    }
+
+    /// The blocks in view that settle with an update: given with their blocks in the atlas, ascending; those seen largest first would be
+    /// no better, since all follow within a second. `put` takes each with its place.
+    pub(crate) fn settle(
+        &mut self,
+        update: UpdateId,
+        live: impl Iterator<Item = (ScenePatch, Block)>,
+        mut put: impl FnMut(ScenePatch, Block),
+    ) {
+        if self.pages.is_empty() {
+            return;
+        }
+        let mut left_texels = self.atlas_texels / MOST_SETTLED_PART;
+        for (patch, block) in live {
+            let texels = u64::from(block.size.texels());
+            let shaded = self.shaded[patch.index()];
+            if texels > left_texels || shaded == 0 || update.0 < shaded - 1 + SETTLES_AFTER_UPDATES {
+                continue;
+            }
+            if self.copies.contains_key(&patch) {
+                continue;
+            }
+            let Some(qp) = self.finest_qp_since(UpdateId(shaded - 1)) else { continue };
+            let Some(to) = self.take(block.size, update) else { break };
+            left_texels -= texels;
+            self.copies.insert(patch, Copy { block: to, settled: update, shown: update, qp });
+            put(patch, to);
+        }
+    }
+
+    /// The finest quantiser of the pictures from an update on, as far as they are remembered.
+    fn finest_qp_since(&self, update: UpdateId) -> Option<u8> {
+        self.qps.iter().take_while(|(of, _)| *of >= update).map(|(_, qp)| *qp).min()
+    }
+
+    /// A place for a copy; where there is none, copies that were not shown for longest are given up for those that come later.
+    fn take(&mut self, size: BlockSize, update: UpdateId) -> Option<Block> {
+        let in_pages = self.pages.iter_mut().zip(1..);
+        let place = in_pages.filter_map(|(page, number)| Some((page.allocate(size)?, number))).next();
+        if let Some((block, page)) = place {
+            return Some(Block { address: BlockAddress { page, ..block.address }, ..block });
+        }
+        if self.leaving.is_empty() {
+            self.evict(update);
+        }
+        None
+    }
+
+    /// Gives up the copies that were not shown for longest.
+    fn evict(&mut self, update: UpdateId) {
+        let mut oldest: Vec<(UpdateId, ScenePatch)> = self
+            .copies
+            .iter()
+            .filter(|(_, copy)| copy.shown < update && copy.settled < update)
+            .map(|(patch, copy)| (copy.shown, *patch))
+            .collect();
+        oldest.sort_unstable();
+        oldest.into_iter().take(EVICTED_TOGETHER).for_each(|(_, patch)| self.give_up(patch));
+    }
+}
+
+/// The same block as its page's allocator knows it.
+fn in_page(block: Block) -> Block {
+    Block { address: BlockAddress { page: 0, ..block.address }, ..block }
+}
+
+#[cfg(test)]
+mod tests;

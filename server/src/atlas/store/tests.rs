@@ -1,0 +1,118 @@
+use super::*;
+
+const PATCHES: usize = 5000;
+
+fn store(pages: u32) -> Store {
+    Store::new(pages, PATCHES, AtlasExtent::new(4096, 2048).expect("an atlas"))
+}
+
+fn block(number: u32, log2: u8) -> Block {
+    let address = BlockAddress { page: 0, x: (number % 512 * 8) as u16, y: (number / 512 * 8) as u16 };
+    Block { address, size: BlockSize::new(log2, log2).expect("a size") }
+}
+
+/// All that settle with an update, of patches that have blocks of this size.
+fn settled(store: &mut Store, update: u32, patches: std::ops::Range<u32>, log2: u8) -> Vec<(u32, Block)> {
+    let mut settled = Vec::new();
+    let live = patches.map(|patch| (ScenePatch(patch), block(patch, log2)));
+    store.settle(UpdateId(update), live, |patch, to| settled.push((patch.0, to)));
+    settled
+}
+
+fn shade(store: &mut Store, patches: std::ops::Range<u32>, update: u32) {
+    patches.for_each(|patch| store.shaded(ScenePatch(patch), UpdateId(update)));
+    (update..update + SETTLES_AFTER_UPDATES).for_each(|update| store.coded(UpdateId(update), 18));
+}
+
+fn serves(store: &mut Store, patch: u32, update: u32) -> Option<Block> {
+    store.serve(ScenePatch(patch), UpdateId(update), |size| size)
+}
+
+#[test]
+fn a_block_settles_when_it_has_not_changed_and_is_shown_from_the_next_update_on() {
+    let mut store = store(1);
+    shade(&mut store, 0..3, 10);
+    store.begin();
+    assert!(settled(&mut store, 10 + SETTLES_AFTER_UPDATES - 1, 0..3, 4).is_empty());
+    let now = 10 + SETTLES_AFTER_UPDATES;
+    let copies = settled(&mut store, now, 0..3, 4);
+    assert_eq!(copies.iter().map(|(patch, _)| *patch).collect::<Vec<_>>(), [0, 1, 2]);
+    assert!(copies.iter().all(|(_, to)| to.is_stored() && to.size == block(0, 4).size));
+    assert_eq!(serves(&mut store, 1, now), None, "the client copies it with this update");
+    assert_eq!(serves(&mut store, 1, now + 1), Some(copies[1].1));
+    assert!(settled(&mut store, now + 1, 0..3, 4).is_empty(), "each once");
+    assert!(settled(&mut store, now + 1, 7..8, 4).is_empty(), "it was never shaded");
+}
+
+#[test]
+fn a_place_is_given_to_another_copy_once_no_update_on_display_names_it() {
+    let mut store = store(1);
+    shade(&mut store, 0..2, 0);
+    let copies = settled(&mut store, 20, 0..1, 9);
+    store.begin();
+    assert!(serves(&mut store, 0, 21).is_some());
+    store.give_up(ScenePatch(0));
+    assert_eq!(serves(&mut store, 0, 22), None);
+    store.displayed(UpdateId(21));
+    let other = settled(&mut store, 22, 1..2, 9);
+    assert!(!other[0].1.overlaps(copies[0].1), "update 21 shows it still");
+    store.displayed(UpdateId(22));
+    shade(&mut store, 2..3, 0);
+    assert!(settled(&mut store, 30, 2..3, 9)[0].1.overlaps(copies[0].1));
+}
+
+#[test]
+fn a_full_store_gives_up_what_was_not_shown_for_longest() {
+    let mut store = store(1);
+    // A page has 16 blocks of 512 texels a side.
+    shade(&mut store, 0..20, 0);
+    let mut update = 20;
+    for patch in 0..16 {
+        assert_eq!(settled(&mut store, update, patch..patch + 1, 9).len(), 1);
+        update += 1;
+    }
+    store.begin();
+    for patch in 8..16 {
+        assert!(serves(&mut store, patch, update).is_some());
+    }
+    assert!(settled(&mut store, update, 16..17, 9).is_empty(), "there is no place yet");
+    store.displayed(UpdateId(update + 1));
+    assert_eq!(settled(&mut store, update + 2, 16..17, 9).len(), 1);
+    assert!((8..16).all(|patch| store.has(ScenePatch(patch))), "these were shown");
+}
+
+#[test]
+fn copies_of_lost_pictures_are_forgotten_and_older_ones_stay() {
+    let mut store = store(1);
+    shade(&mut store, 0..2, 0);
+    settled(&mut store, 20, 0..1, 4);
+    settled(&mut store, 21, 1..2, 4);
+    store.lost_after(Some(UpdateId(20)));
+    assert!(store.has(ScenePatch(0)) && !store.has(ScenePatch(1)));
+    store.lost_after(None);
+    assert!(!store.has(ScenePatch(0)));
+}
+
+#[test]
+fn a_copy_too_coarse_or_coded_coarsely_is_made_anew_a_few_with_each_update() {
+    let mut store = store(2);
+    shade(&mut store, 0..200, 0);
+    (0..20).for_each(|update| store.coded(UpdateId(6 + update), 30));
+    let count = (0..40).map(|update| settled(&mut store, 30 + update, 0..200, 6).len()).sum::<usize>();
+    assert_eq!(count, 200);
+    store.begin();
+    let larger = |size: BlockSize| BlockSize { width_log2: size.width_log2 + 1, ..size };
+    let given_up =
+        (0..200).filter(|patch| store.serve(ScenePatch(*patch), UpdateId(100), larger).is_none()).count();
+    assert!((1..30).contains(&given_up), "{given_up}");
+    let smaller = |size: BlockSize| BlockSize { width_log2: size.width_log2 - 1, ..size };
+    assert!(store.serve(ScenePatch(199), UpdateId(101), smaller).is_some(), "a finer one will do");
+}
+
+#[test]
+fn a_store_of_no_pages_does_nothing() {
+    let mut store = store(0);
+    shade(&mut store, 0..5, 0);
+    assert!(settled(&mut store, 50, 0..5, 4).is_empty());
+    assert_eq!((store.count(), store.texels(), serves(&mut store, 1, 51)), (0, 0, None));
+}
