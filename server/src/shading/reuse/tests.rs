@@ -249,3 +249,57 @@ fn of_what_waits_alike_the_largest_is_first() {
         reuse.due(|now| *now = row.moment([1; 4]), HEAD, placed.iter().copied(), &row, 64 * 64 + 64).to_vec();
     assert_eq!(first.iter().map(|due| due.patch.0).collect::<Vec<_>>(), [0, 17]);
 }
+
+/// All patches, the second instance's in the store.
+fn settled(is_hidden: bool) -> Vec<Placed> {
+    let mut placed = all();
+    for placed in &mut placed[10..20] {
+        placed.block.address.page = 1;
+        placed.is_hidden = is_hidden;
+    }
+    placed
+}
+
+fn stale(reuse: &Reuse<u32>) -> Vec<u32> {
+    reuse.stale().map(|patch| patch.0).collect()
+}
+
+#[test]
+fn a_copy_in_the_store_is_what_its_block_was() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    due(&mut reuse, &row, row.moment([0; 4]), &all());
+    assert_eq!(due(&mut reuse, &row, row.moment([0; 4]), &settled(false)), []);
+    assert_eq!((stale(&reuse), reuse.reused().blocks), (vec![], 30));
+    assert_eq!(
+        due(&mut reuse, &row, row.moment([0; 4]), &all()),
+        of(Cause::New, 10..20),
+        "in the atlas again"
+    );
+}
+
+#[test]
+fn a_copy_in_the_store_is_never_shaded_and_stale_when_its_light_changes() {
+    for is_hidden in [false, true] {
+        let (row, mut reuse) = (row(), Reuse::new(true));
+        due(&mut reuse, &row, row.moment([0; 4]), &all());
+        let mut lit = row.moment([0; 4]);
+        lit.lamps = vec![Lamp { words: [1.0; 16], position: Row::at(15), range_m: 2.5 }];
+        assert_eq!(due(&mut reuse, &row, lit, &settled(is_hidden)), []);
+        assert_eq!(stale(&reuse), [13, 14, 15, 16, 17]);
+        due(&mut reuse, &row, row.moment([0, 1, 0, 0]), &settled(is_hidden));
+        assert_eq!(stale(&reuse).len(), 10, "it moved");
+    }
+}
+
+#[test]
+fn a_copy_that_is_not_shown_is_not_stale_for_a_head_that_moves() {
+    for is_hidden in [false, true] {
+        let (row, mut reuse) = (row(), Reuse::new(true));
+        due(&mut reuse, &row, row.moment([0; 4]), &all());
+        let head = Pose { position: HEAD.position + Vec3::X * 2.0, ..HEAD };
+        let placed = settled(is_hidden);
+        let moment = row.moment([0; 4]);
+        reuse.due(|now| *now = moment, head, placed.into_iter(), &row, u64::MAX);
+        assert_eq!(stale(&reuse).is_empty(), is_hidden);
+    }
+}
