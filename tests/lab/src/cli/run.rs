@@ -2,12 +2,14 @@
 
 use clap::{Args, value_parser};
 use shadecast_client::draw::stages::atlas_draw::Reconstruction;
+use shadecast_client::options::DEFAULT_STORE_PAGES;
 use shadecast_desktop::flags::{MOST_S, number, size};
 use shadecast_lab::experiments::run::{self, Report};
 use shadecast_lab::experiments::viewers::run_each;
 use shadecast_lab::session::options::{
     Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, ViewerOptions, parse_room,
 };
+use shadecast_protocol::limits::MAX_STORE_PAGES;
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::pacing::room::Room;
 use shadecast_server::update::ShowOptions;
@@ -85,6 +87,9 @@ pub(super) struct RunArgs {
     /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]
     room: Room,
+    /// Pages that the client offers to keep for blocks that do not change, of 2048x2048 texels; 0: none
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_STORE_PAGES, value_parser = value_parser!(u32).range(0..=i64::from(MAX_STORE_PAGES)))]
+    store_pages: u32,
     /// How the client finds colours between the atlas's texels
     #[arg(long, value_enum, default_value = "bilinear")]
     reconstruction: ReconstructionArgument,
@@ -165,6 +170,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         surround,
         shade_texels: args.shade_texels,
         room: args.room,
+        store_pages: args.store_pages,
         seed: args.seed,
         dump_every: args.dump_every,
         compare_every: args.compare_every,

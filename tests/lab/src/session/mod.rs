@@ -380,6 +380,7 @@ impl Lab {
             max_vertex_slots: options.room.vertices,
             max_patch_slots: options.room.patches,
             max_triangles: options.room.triangles,
+            store_pages: options.store_pages,
             lookup: Lookup {
                 reconstruction: options.reconstruction,
                 chroma: options.spared.arrival.chroma(),
@@ -639,6 +640,7 @@ pub fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
         max_vertex_slots: options.room.vertices,
         max_patch_slots: options.room.patches,
         max_triangles: options.room.triangles,
+        store_pages: options.store_pages,
         codecs: options.medium().codecs.to_vec(),
         ..Capabilities::most(eyes, eye_extent_pixels, display_period_ns)
     };

@@ -3,6 +3,7 @@
 use super::originals::Arrival;
 use serde::{Deserialize, Serialize};
 use shadecast_client::draw::stages::atlas_draw::Reconstruction;
+use shadecast_client::options::DEFAULT_STORE_PAGES;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{
     DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES,
@@ -258,6 +259,8 @@ pub struct RunOptions {
     pub surround: f32,
     /// What the clients offer to keep and to draw.
     pub room: Room,
+    /// Pages that the clients offer to keep for blocks that do not change; 0: none.
+    pub store_pages: u32,
     /// Texels that an update may shade again; all where it is `None`.
     pub shade_texels: Option<u64>,
     /// Updates per second.
@@ -304,6 +307,7 @@ impl RunOptions {
             detail_pixels: DEFAULT_DETAIL_PIXELS,
             surround: 0.0, // what is around costs tests time, and few look there
             room: USUAL_ROOM,
+            store_pages: DEFAULT_STORE_PAGES,
             shade_texels: None,
             rate_hz: 30.0,
             refresh_hz: 72.0,
@@ -364,6 +368,9 @@ impl RunOptions {
             line += &format!(" --detail {}", self.detail_pixels);
         }
         line += &format!(" --surround {}", self.surround);
+        if self.store_pages != usual.store_pages {
+            line += &format!(" --store-pages {}", self.store_pages);
+        }
         if self.room != usual.room {
             let Room { patches, vertices, triangles } = self.room;
             line += &format!(" --room patches={patches},vertices={vertices},triangles={triangles}");
