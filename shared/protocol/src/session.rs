@@ -975,7 +975,10 @@ impl ServerSession {
                 let earlier = self.heard.displayed.take();
                 self.heard.displayed = Some(earlier.map_or(displayed, |earlier| earlier.merged(displayed)));
             }
-            ClientMessage::RefreshRequest { after } => self.heard.refresh = Some(after),
+            // Of several the earliest counts: whoever asked for it lacks all that came after.
+            ClientMessage::RefreshRequest { after } => {
+                self.heard.refresh = Some(self.heard.refresh.map_or(after, |before| before.min(after)));
+            }
             ClientMessage::Watching { is_watched } => self.heard.watching = Some(is_watched),
             ClientMessage::Steer(steer) => {
                 let earlier = self.heard.steering.unwrap_or_default();
