@@ -6,9 +6,10 @@ mod device;
 use shadecast_client::draw::draw_list::{Drawable, ListWriter};
 use shadecast_client::draw::stages::FRAMES_IN_FLIGHT;
 use shadecast_client::draw::stages::atlas_draw::{
-    AtlasDraw, BundleMemory, BundleSet, EyeTargets, Lookup, Reconstruction,
+    AtlasDraw, BundleMemory, BundleSet, EyeTargets, Lookup, Reconstruction, Shared,
 };
 use shadecast_client::draw::stages::scatter::VertexMemory;
+use shadecast_client::draw::stages::settle::Store;
 use shadecast_client::motion::skinned::SkinCapacity;
 use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, vk};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
@@ -83,10 +84,11 @@ impl Bench {
             AtlasDraw::new(&self.gpu, &self.targets.pass, Lookup { reconstruction, ..Lookup::default() })?;
         let mut recorder = self.gpu.record()?;
         let patches = u32::from(ACROSS) * u32::from(ACROSS);
-        let eyes = self.eyes.each_ref();
+        let store = Store::new(&self.gpu, &mut recorder, 0)?;
+        let shared = Shared { memory: &self.memory, store: &store, eyes: self.eyes.each_ref() };
         let extent = AtlasExtent::DEFAULT;
-        let mut bundle = stage.bundle_memory(&self.gpu, 0, patches, extent)?;
-        let set = stage.bundle_set(&self.gpu, &mut recorder, &bundle, extent, &self.memory, eyes)?;
+        let mut bundle = stage.bundle_memory(&self.gpu, 0, patches, extent, false)?;
+        let set = stage.bundle_set(&self.gpu, &mut recorder, &bundle, extent, shared)?;
         self.gpu.wait(recorder.submit()?)?;
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(bundle.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(bundle.indices.bytes_mut());

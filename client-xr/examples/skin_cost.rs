@@ -6,6 +6,7 @@ mod device;
 
 use shadecast_client::draw::draw_list::{ListWriter, MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH};
 use shadecast_client::draw::stages::atlas_draw::EyeTargets;
+use shadecast_client::draw::stages::settle::Store;
 use shadecast_client::draw::stages::upload::{Chroma, PlaneStaging, Planes};
 use shadecast_gpu::{
     Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
@@ -87,6 +88,7 @@ impl Bench {
             (0..AtlasExtent::DEFAULT.texels().iter().product()).map(|at: u32| (at >> 3) as u8).collect();
         staging.write([&grey, &grey[..grey.len() / 4], &grey[..grey.len() / 4]]);
         planes.record(&mut recorder, &staging);
+        let store = Store::new(&gpu, &mut recorder, 0)?;
         gpu.wait(recorder.submit()?)?;
         let [eyes, ..] = device::eyes_in_clip_space(&gpu)?;
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
@@ -108,6 +110,7 @@ impl Bench {
         let mut binds: Vec<(&str, Bind<'_>)> = names.into_iter().zip(kept.iter().map(Bind::Buffer)).collect();
         let sampled = planes.images.iter().map(|plane| Bind::Sampled(plane, &sampler));
         binds.extend(["luma_plane", "cb_plane", "cr_plane"].into_iter().zip(sampled));
+        binds.push(("store", Bind::Sampled(&store.image, &sampler)));
         let compute = ComputePipeline::new(&gpu, &CLIENT_SKIN_COMP)?;
         let skin = BindGroup::of(compute.layout(), &binds)?;
         let drawn = |vertex: &Shader| {
@@ -122,7 +125,7 @@ impl Bench {
         };
         let (pulls, skins) = (drawn(&CLIENT_ATLAS_VERT)?, drawn(&BENCH_SKIN_VERT)?);
         let indices = (Buffer::device_local(&gpu, "indices", &indices)?, index_count);
-        let kept = (kept, planes, sampler);
+        let kept = (kept, planes, store, sampler);
         Ok(Self { gpu, side, image, targets, indices, skin: (compute, skin), pulls, skins, _kept: kept })
     }
 

@@ -10,11 +10,13 @@ use shadecast_client::display::{Display, DisplayError};
 use shadecast_client::draw::stages::atlas_draw::{Lookup, Reconstruction};
 use shadecast_client::draw::stages::interpolate::Interpolation;
 use shadecast_client::net::{self, RunOptions};
+use shadecast_client::options::DEFAULT_STORE_PAGES;
 use shadecast_client::platform::Platform;
 use shadecast_client::present::presenter::Presenter;
 use shadecast_client::present::stats::ClientStats;
 use shadecast_desktop::canvas::DEFAULT_EXTENT;
 use shadecast_desktop::flags::{number, size};
+use shadecast_protocol::limits::MAX_STORE_PAGES;
 use shadecast_protocol::text::{printable, with_causes};
 use shadecast_system::write_atomically;
 use shadecast_transport::Fingerprint;
@@ -88,6 +90,9 @@ struct Arguments {
     /// MSAA samples; 2 falls back to 4 where unsupported [default: 4, and 1 in a window of a device without a GPU]
     #[arg(long, value_name = "SAMPLES", value_parser = ["1", "2", "4"])]
     msaa: Option<String>,
+    /// Pages of settled blocks kept on the device, 22 MB each; 0 keeps none
+    #[arg(long, value_name = "N", default_value_t = DEFAULT_STORE_PAGES, value_parser = clap::value_parser!(u32).range(..=i64::from(MAX_STORE_PAGES)))]
+    store_pages: u32,
     /// Requested refresh rate; the nearest offered rate is used [default: chosen by the runtime]
     #[arg(long, value_name = "HZ", conflicts_with = "window", value_parser = number(1.0_f32..=1000.0, "frames a second"))]
     refresh: Option<f32>,
@@ -230,6 +235,7 @@ fn run(arguments: &Arguments) -> anyhow::Result<()> {
                 ..Lookup::default()
             },
             msaa: arguments.msaa.as_ref().and_then(|samples| samples.parse().ok()),
+            store_pages: arguments.store_pages,
             ..ClientOptions::default()
         },
         seconds: arguments.seconds,

@@ -30,7 +30,12 @@ pub struct ClientOptions {
     pub max_triangles: u32,
     /// What the client offers to keep to skin by itself.
     pub motion: MotionMemory,
+    /// Pages of settled blocks that the client offers to keep, 22 MB each; 0 is no store.
+    pub store_pages: u32,
 }
+
+/// Pages of the store, unless another number is asked for: 134 MB.
+pub const DEFAULT_STORE_PAGES: u32 = 6;
 
 impl Default for ClientOptions {
     fn default() -> Self {
@@ -45,6 +50,7 @@ impl Default for ClientOptions {
             max_patch_slots: DEFAULT_PATCH_SLOTS,
             max_triangles: DEFAULT_TRIANGLES,
             motion: MotionMemory::DEFAULT,
+            store_pages: DEFAULT_STORE_PAGES,
         }
     }
 }

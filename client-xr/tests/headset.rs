@@ -12,9 +12,9 @@ use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, Scrip
 use shadecast_mock_runtime::record::{Side, read_frames};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{Delta, DeltaEncoder};
-use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
+use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Settled};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
-use shadecast_protocol::limits::{MAX_NEW_SAMPLE_GRIDS, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{MAX_NEW_SAMPLE_GRIDS, MAX_PATCH_SLOTS, MAX_STORE_PAGES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer};
 use shadecast_protocol::motion::SampleBatch;
 use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
@@ -448,8 +448,14 @@ const CONNECTING_TURNS: i64 = 13;
 
 impl Line {
     fn new(world_from_stage: Pose, ahead_ns: i64) -> Self {
+        Self::with_store(world_from_stage, ahead_ns, 0)
+    }
+
+    /// The same with so many pages of settled blocks.
+    fn with_store(world_from_stage: Pose, ahead_ns: i64, store_pages: u32) -> Self {
         let server = ServerSession::new(ServerOffer {
             session: 5,
+            store_pages,
             atlas_extent_texels: ATLAS,
             environment: environment(),
             world_from_stage,
@@ -459,7 +465,7 @@ impl Line {
         Self {
             server,
             sender: None,
-            encoder: DeltaEncoder::new(MAX_VERTEX_SLOTS, MAX_PATCH_SLOTS),
+            encoder: DeltaEncoder::new(MAX_VERTEX_SLOTS, MAX_PATCH_SLOTS).with_store(store_pages),
             streams: VecDeque::new(),
             frames: 0,
             events: Vec::new(),
@@ -565,8 +571,13 @@ impl Line {
 
     /// Display frames until the session stands and the client knows the server's clock.
     fn connect(client: &mut Client) -> Self {
+        Self::connect_with_store(client, 0)
+    }
+
+    /// The same with so many pages of settled blocks.
+    fn connect_with_store(client: &mut Client, pages: u32) -> Self {
         let ten_metres_on = Pose { position: [10.0, 0.0, 0.0].into(), ..Pose::IDENTITY };
-        let mut line = Self::new(ten_metres_on, SERVER_AHEAD_NS);
+        let mut line = Self::with_store(ten_metres_on, SERVER_AHEAD_NS, pages);
         client.intake.on_connected(at(1_000_000_000));
         for _ in 0..12 {
             line.frame(client);
@@ -697,6 +708,20 @@ fn the_presenter_allocates_nothing_with_device_pictures() {
     draws_without_allocating(&run, client);
 }
 
+#[test]
+fn the_presenter_allocates_nothing_while_blocks_settle() {
+    let run = Run::new(MockConfig::default());
+    let client = run.client();
+    settles_without_allocating(&run, client);
+}
+
+#[test]
+fn the_presenter_allocates_nothing_while_blocks_of_device_pictures_settle() {
+    let run = Run::new(MockConfig::default());
+    let client = run.client_on_device(on_device_decoder);
+    settles_without_allocating(&run, client);
+}
+
 /// What is said changes, the figures are shown, and the world stands still for so long that the notice comes.
 #[test]
 fn the_presenter_allocates_nothing_while_texts_change() {
@@ -727,7 +752,17 @@ fn the_presenter_allocates_nothing_while_texts_change() {
 }
 
 fn draws_without_allocating(run: &Run, mut client: Client) {
-    let mut line = Line::connect(&mut client);
+    let line = Line::connect(&mut client);
+    takes_updates_without_allocating(run, client, line, &[]);
+}
+
+fn settles_without_allocating(run: &Run, mut client: Client) {
+    let line = Line::connect_with_store(&mut client, 1);
+    let settled = [Settled { slot: PatchSlot(0), to: stored(1, 64) }];
+    takes_updates_without_allocating(run, client, line, &settled);
+}
+
+fn takes_updates_without_allocating(run: &Run, mut client: Client, mut line: Line, settled: &[Settled]) {
     line.send(static_patches(), &planes([0, 64]), true);
     for _ in 0..80 {
         line.frame(&mut client);
@@ -736,7 +771,7 @@ fn draws_without_allocating(run: &Run, mut client: Client) {
     for number in 1..=60 {
         if number % 2 == 0 {
             let update = UpdateId(number / 2);
-            let again = GeometryDelta { update, ..GeometryDelta::default() };
+            let again = GeometryDelta { update, settled: settled.to_vec(), ..GeometryDelta::default() };
             line.send(again, &planes([number as u16, 64]), false);
         }
         let now = line.begin(&mut client);
@@ -816,6 +851,148 @@ fn a_lost_picture_keeps_the_last_bundle_until_a_refresh() {
         line.events.iter().filter(|event| matches!(event, ServerEvent::RefreshRequest { .. })).count();
     assert_eq!((asked, client.presenter.stats().lost_pictures), (1, 2));
     finish(&run, client);
+}
+
+/// A block of the store as large as [`block`]'s.
+fn stored(page: u8, x: u16) -> Block {
+    let Block { address, size } = block(x);
+    Block { address: BlockAddress { page, y: 128, ..address }, size }
+}
+
+/// What settles with an update, and where patches are from it on.
+fn settling(update: u32, settled: &[(u32, Block)], placed: &[(u32, Block)]) -> GeometryDelta {
+    GeometryDelta {
+        update: UpdateId(update),
+        settled: settled.iter().map(|(slot, to)| Settled { slot: PatchSlot(*slot), to: *to }).collect(),
+        placements: placed.iter().map(|(slot, block)| (PatchSlot(*slot), Some(*block))).collect(),
+        ..GeometryDelta::default()
+    }
+}
+
+/// The left square's block settles with the first update, the right one's with the second, which the display skips.
+fn keeps_settled_colours(run: &Run, mut client: Client) {
+    let mut line = Line::connect_with_store(&mut client, 2);
+    let (left, right) = (stored(1, 64), stored(2, 192));
+    let first = settling(0, &[(0, left)], &[]).settled;
+    line.send(GeometryDelta { settled: first, ..static_patches() }, &planes([0, 64]), true);
+    line.frame(&mut client);
+    assert_eq!(line.frame(&mut client).update, Some(UpdateId(0)));
+    line.send(settling(1, &[(1, right)], &[(0, left)]), &planes([128, 64]), false);
+    line.send(settling(2, &[], &[(1, right)]), &planes([128, 192]), false);
+    let shown: Vec<_> = (0..3).map(|_| line.frame(&mut client).update.map(|update| update.0)).collect();
+    assert_eq!(shown, [Some(0), Some(2), Some(2)], "the second update is decoded, and skipped");
+    let last = client.presenter.stats().frames - 1;
+    assert!(!line.events.iter().any(|event| matches!(event, ServerEvent::RefreshRequest { .. })));
+    finish(run, client);
+    for index in last - 3..=last {
+        let picture = run.picture(index, Side::Left);
+        for (x, want) in [(-0.25, RED.0), (0.25, BLUE.0)] {
+            let [x, y] = pixel([x, 1.6, -2.0], -1.0).map(|p| p as u32);
+            assert_close(picture.at(x, y), want, &format!("frame {index} at {x}"));
+        }
+    }
+}
+
+#[test]
+fn a_settled_block_keeps_the_colours_of_its_picture() {
+    let run = Run::new(MockConfig::default());
+    let client = run.client();
+    keeps_settled_colours(&run, client);
+}
+
+#[test]
+fn a_settled_block_of_a_device_picture_keeps_its_colours() {
+    let run = Run::new(MockConfig::default());
+    let client = run.client_on_device(on_device_decoder);
+    keeps_settled_colours(&run, client);
+}
+
+/// They come at once, and are decoded two in a display frame.
+#[test]
+fn every_block_of_a_burst_of_updates_settles() {
+    for burst in [3, 5, 9] {
+        let run = Run::new(MockConfig::default());
+        let mut client = run.client();
+        let mut line = Line::connect_with_store(&mut client, 1);
+        line.send(static_patches(), &planes([0, 64]), true);
+        line.frame(&mut client);
+        for update in 1..=burst {
+            let to = stored(1, 64 * update as u16);
+            line.send(settling(update, &[(0, to)], &[]), &planes([0, 64]), false);
+        }
+        for _ in 0..20 {
+            line.frame(&mut client);
+        }
+        let last = burst + 1;
+        line.send(settling(last, &[], &[(0, stored(1, 64 * burst as u16))]), &planes([128, 64]), false);
+        line.frame(&mut client);
+        assert_eq!(line.frame(&mut client).update, Some(UpdateId(last)));
+        let shown = client.presenter.stats().frames - 1;
+        assert!(!line.events.iter().any(|event| matches!(event, ServerEvent::RefreshRequest { .. })));
+        finish(&run, client);
+        let [x, y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
+        assert_close(run.picture(shown, Side::Left).at(x, y), RED.0, &format!("after {burst} updates"));
+    }
+}
+
+/// The refreshes asked for.
+fn refreshes_asked(line: &Line) -> Vec<Option<UpdateId>> {
+    let asked = line.events.iter().filter_map(|event| match event {
+        ServerEvent::RefreshRequest { after } => Some(*after),
+        _ => None,
+    });
+    asked.collect()
+}
+
+/// The picture that heals the decoder heals no store.
+#[test]
+fn a_lost_picture_with_settled_blocks_requests_a_refresh() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect_with_store(&mut client, 1);
+    line.send(static_patches(), &planes([0, 64]), true);
+    line.frame(&mut client);
+    line.frame(&mut client);
+    line.send_delta(settling(1, &[(0, stored(1, 64))], &[]));
+    line.send(settling(2, &[], &[]), &planes([0, 64]), true);
+    for _ in 0..20 {
+        line.frame(&mut client);
+    }
+    assert_eq!(refreshes_asked(&line), [Some(UpdateId(0))]);
+    finish(&run, client);
+}
+
+#[test]
+fn one_request_tells_of_all_that_a_lost_picture_took_along() {
+    let run = Run::new(MockConfig::default());
+    let mut client = run.client();
+    let mut line = Line::connect_with_store(&mut client, 1);
+    line.lost_pictures = vec![1];
+    line.send(static_patches(), &planes([0, 64]), true);
+    line.frame(&mut client);
+    for update in 1..5 {
+        // Those after the lost one cannot be decoded; the last answers the request.
+        let to = stored(1, 64 * update as u16);
+        line.send(settling(update, &[(0, to)], &[]), &planes([0, 64]), update == 4);
+        line.frame(&mut client);
+    }
+    for _ in 0..20 {
+        line.frame(&mut client);
+    }
+    assert_eq!(refreshes_asked(&line), [Some(UpdateId(0))]);
+    finish(&run, client);
+}
+
+#[test]
+fn a_client_offers_the_pages_that_it_is_told_to() {
+    for (pages, offered) in [(0, 0), (6, 6), (u32::MAX, MAX_STORE_PAGES)] {
+        let run = Run::unseen(MockConfig::default());
+        let mut client = run.client_of_pages(pages);
+        let line = Line::connect_with_store(&mut client, 0);
+        let ServerEvent::Asked { hello, .. } = &line.events[0] else { panic!("{:?}", line.events) };
+        assert_eq!(hello.capabilities.store_pages, offered);
+        finish(&run, client);
+    }
 }
 
 #[test]

@@ -9,21 +9,35 @@ vec2 inside_block(vec2 at, vec4 block) {
     return clamp(at, block.xy + BLOCK_INSET_TEXELS, block.zw - BLOCK_INSET_TEXELS);
 }
 
+// Places of the five lookups, texels, and the weights that they are made of, by axis.
+struct CubicTaps {
+    vec2 first, middle, last;
+    vec2 before, inner, behind;
+    float weight;
+};
+
 // Of sixteen texels by five bilinear lookups, without the four corners, which count for little. The outer ones go no
 // farther than the block's outermost texels. `at` is inside the block.
-float cubic_lookup(sampler2D plane, vec2 at, vec4 block) {
+CubicTaps cubic_taps(vec2 at, vec4 block) {
     vec2 second = floor(at - 0.5) + 0.5, f = at - second;
     vec2 w0 = f * (-0.5 + f * (1.0 - 0.5 * f)), w1 = 1.0 + f * f * (1.5 * f - 2.5);
     vec2 w2 = f * (0.5 + f * (2.0 - 1.5 * f)), w3 = f * f * (0.5 * f - 0.5);
-    vec2 inner = w1 + w2, scale = 1.0 / vec2(textureSize(plane, 0));
-    vec2 first = max(second - 1.0, block.xy + 0.5) * scale, last = min(second + 2.0, block.zw - 0.5) * scale;
-    vec2 middle = (second + w2 / inner) * scale;
-    float value = texture(plane, middle).r * inner.x * inner.y
-        + texture(plane, vec2(first.x, middle.y)).r * w0.x * inner.y
-        + texture(plane, vec2(last.x, middle.y)).r * w3.x * inner.y
-        + texture(plane, vec2(middle.x, first.y)).r * inner.x * w0.y
-        + texture(plane, vec2(middle.x, last.y)).r * inner.x * w3.y;
-    return value / (inner.x * inner.y + (w0.x + w3.x) * inner.y + inner.x * (w0.y + w3.y));
+    vec2 inner = w1 + w2;
+    vec2 first = max(second - 1.0, block.xy + 0.5), last = min(second + 2.0, block.zw - 0.5);
+    float weight = inner.x * inner.y + (w0.x + w3.x) * inner.y + inner.x * (w0.y + w3.y);
+    return CubicTaps(first, second + w2 / inner, last, w0, inner, w3, weight);
+}
+
+float cubic_lookup(sampler2D plane, vec2 at, vec4 block) {
+    CubicTaps taps = cubic_taps(at, block);
+    vec2 scale = 1.0 / vec2(textureSize(plane, 0));
+    vec2 first = taps.first * scale, middle = taps.middle * scale, last = taps.last * scale;
+    float value = textureLod(plane, middle, 0.0).r * taps.inner.x * taps.inner.y
+        + textureLod(plane, vec2(first.x, middle.y), 0.0).r * taps.before.x * taps.inner.y
+        + textureLod(plane, vec2(last.x, middle.y), 0.0).r * taps.behind.x * taps.inner.y
+        + textureLod(plane, vec2(middle.x, first.y), 0.0).r * taps.inner.x * taps.before.y
+        + textureLod(plane, vec2(middle.x, last.y), 0.0).r * taps.inner.x * taps.behind.y;
+    return value / taps.weight;
 }
 
 #endif

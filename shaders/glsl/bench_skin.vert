@@ -16,12 +16,14 @@ layout(std430, binding = 10) readonly buffer MorphWeights { float morph_weights[
 layout(std430, binding = 11) readonly buffer Arena { uvec4 arena[]; };
 layout(location = 0) out vec2 atlas_texel;
 layout(location = 1) flat out vec4 block; // left, top, right, bottom in texels
+layout(location = 2) flat out vec2 stored; // layer and highest mip level in the store; below 0: it lies in the atlas
 #include "client_skin.glsl"
 
 void main() {
     CornerGpu corner = corners[gl_VertexIndex];
     atlas_texel = corner.atlas_texel;
     block = block_texels(corner.block);
+    stored = store_place(corner.block);
     uvec2 skin = skins[corner.vertex_slot];
     vec4 position = vec4(skinned(rests[skin.x - 1], skin.y), 1.0);
     gl_Position = clip_position(eyes.clip_from_world[gl_ViewIndex], position);

@@ -4,6 +4,6 @@
 #include "client_atlas.glsl"
 
 void main() {
-    vec2 uv = inside_block(atlas_texel, block) / vec2(textureSize(luma_plane, 0));
-    color = color_of(texture(luma_plane, uv).r, uv);
+    vec4 footprint = pixel_footprint();
+    color = is_stored() ? stored_color(footprint) : linear_color(inside_block(atlas_texel, block));
 }

@@ -9,10 +9,12 @@ layout(std430, binding = 1) readonly buffer Positions { vec4 positions[]; };
 layout(std140, binding = 2) uniform Eyes { EyesGpu eyes; };
 layout(location = 0) out vec2 atlas_texel;
 layout(location = 1) flat out vec4 block; // left, top, right, bottom in texels
+layout(location = 2) flat out vec2 stored; // layer and highest mip level in the store; below 0: it lies in the atlas
 
 void main() {
     CornerGpu corner = corners[gl_VertexIndex];
     atlas_texel = corner.atlas_texel;
     block = block_texels(corner.block);
+    stored = store_place(corner.block);
     gl_Position = clip_position(eyes.clip_from_world[gl_ViewIndex], positions[corner.vertex_slot]);
 }

@@ -4,6 +4,6 @@
 #include "client_atlas.glsl"
 
 void main() {
-    vec2 at = inside_block(atlas_texel, block);
-    color = color_of(cubic_lookup(luma_plane, at, block), at / vec2(textureSize(luma_plane, 0)));
+    vec4 footprint = pixel_footprint();
+    color = is_stored() ? stored_cubic_color(footprint) : cubic_color(inside_block(atlas_texel, block));
 }

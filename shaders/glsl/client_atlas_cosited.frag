@@ -4,5 +4,6 @@
 #include "client_atlas_picture.glsl"
 
 void main() {
-    color = color_of_two(inside_block(atlas_texel, block));
+    vec4 footprint = pixel_footprint();
+    color = is_stored() ? stored_color(footprint) : color_of_two(inside_block(atlas_texel, block));
 }

@@ -7,11 +7,12 @@ layout(std430, binding = 6) readonly buffer Coverage {
     uint width_texels;
     uint covered[];
 };
-layout(location = 2) flat in uint is_masked;
+layout(location = 3) flat in uint is_masked;
 #include "coverage.glsl"
 
 void main() {
+    vec4 footprint = pixel_footprint();
     vec2 at = inside_block(atlas_texel, block);
     if (is_masked != 0 && !is_covered(at)) discard;
-    color = color_of(cubic_lookup(luma_plane, at, block), at / vec2(textureSize(luma_plane, 0)));
+    color = is_stored() ? stored_cubic_color(footprint) : cubic_color(at);
 }

@@ -28,6 +28,12 @@ vec3 ycbcr_from_rgb(vec3 rgb) {
     return vec3(y, (rgb.b - y) / 1.8556 + 128.0 / 255.0, (rgb.r - y) / 1.5748 + 128.0 / 255.0);
 }
 
+// Luma of one colour, and chroma of another: what that differs in from its luma.
+vec3 rgb_of_two(vec3 of_luma, vec3 of_chroma) {
+    vec3 weights = vec3(0.2126, 0.7152, 0.0722);
+    return of_chroma + dot(of_luma, weights) - dot(of_chroma, weights);
+}
+
 vec3 rgb_from_ycbcr(vec3 ycbcr) {
     float cb = ycbcr.y - 128.0 / 255.0, cr = ycbcr.z - 128.0 / 255.0;
     float r = ycbcr.x + 1.5748 * cr, b = ycbcr.x + 1.8556 * cb;

@@ -5,7 +5,7 @@
 use shadecast_protocol::atlas::PatchKind;
 use shadecast_protocol::limits::{
     BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_SAMPLE_RING, MAX_VIEWS, PATCH_MAX_VERTICES, PREDICTIONS,
-    SUPERBLOCK_MIN_LOG2,
+    STORE_PAGE_SIDE, SUPERBLOCK_MIN_LOG2,
 };
 use shadecast_protocol::pose::NEAR_M;
 
@@ -73,7 +73,8 @@ pub const MAX_FRUSTA: u32 = 4;
 
 shared! {
     {
-        BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS, SUPERBLOCK_MIN_LOG2,
+        BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS,
+        STORE_PAGE_SIDE, SUPERBLOCK_MIN_LOG2,
     }
 
     /// Views that are drawn at once.
@@ -158,6 +159,13 @@ shared! {
 
     /// Set in the first word of a corner's block where the patch does not cover all of it.
     IS_MASKED: u32 = 1 << 31;
+
+    /// Bits of each coordinate of the first texel beyond a corner's block; those above both are its page.
+    BLOCK_END_BITS: u32 = 13;
+    /// Mip levels of a page of the store.
+    STORE_LEVELS: u32 = 5;
+    /// Sides of the part of a block that a workgroup copies to the store, texels: one texel of the last level.
+    SETTLE_TILE: u32 = 1 << (STORE_LEVELS - 1);
 
     /// Slots of a material for textures.
     TEXTURE_SLOTS: u32 = 5;

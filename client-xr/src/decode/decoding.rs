@@ -95,6 +95,9 @@ pub struct Decoding {
     /// When a refresh was last asked for, while one is needed.
     asked: Option<ClientTime>,
     needs_refresh: bool,
+    requested: Option<Requested>,
+    /// The first update whose blocks could not settle, where no request says so.
+    unsettled: Option<UpdateId>,
     /// The last refresh handed to the decoder.
     last_refresh: Option<UpdateId>,
     lost: u32,
@@ -102,6 +105,16 @@ pub struct Decoding {
     failures: u32,
     trouble: Option<String>,
     round_trip_ns: i64,
+}
+
+/// The last request for a refresh.
+#[derive(Clone, Copy)]
+struct Requested {
+    /// The server knows that the blocks of later updates have not settled: of those that it had sent.
+    after: Option<UpdateId>,
+    /// It had sent all before this one: the picture that was awaited, or that came as an answer.
+    before: UpdateId,
+    is_answered: bool,
 }
 
 /// Puts pictures in order.
@@ -234,6 +247,8 @@ impl Decoding {
             last_decoded: None,
             asked: None,
             needs_refresh: false,
+            requested: None,
+            unsettled: None,
             last_refresh: None,
             lost: 0,
             failures: 0,
@@ -295,6 +310,7 @@ impl Decoding {
             if coded.header.is_refresh {
                 self.needs_refresh = false;
                 self.last_refresh = Some(coded.header.update);
+                self.note_answer(coded.header.update);
             }
             if !self.engine.start(Job::Decode(coded)) {
                 self.lose(1);
@@ -344,14 +360,36 @@ impl Decoding {
         self.trouble.take()
     }
 
-    /// The request that is due at `now`: the last frame that decoded, if only a refresh helps.
+    /// A refresh is decoded: if a request waits for one, it is the answer.
+    fn note_answer(&mut self, refresh: UpdateId) {
+        if let Some(requested) = self.requested.as_mut().filter(|requested| !requested.is_answered) {
+            requested.before = requested.before.max(refresh);
+            requested.is_answered = true;
+        }
+    }
+
+    /// The blocks of an update could not settle, for want of its picture. The server must know, unless a request has said so.
+    pub fn note_unsettled(&mut self, update: UpdateId) {
+        let is_known = self
+            .requested
+            .is_some_and(|Requested { after, before, .. }| Some(update) > after && update < before);
+        if !is_known {
+            self.unsettled = Some(self.unsettled.map_or(update, |first| first.min(update)));
+        }
+    }
+
+    /// The request that is due at `now`, if only a refresh helps: the last update that decoded, and whose blocks have settled like
+    /// those of all before it.
     pub fn refresh_request(&mut self, now: ClientTime) -> Option<Option<UpdateId>> {
         let is_due = self.asked.is_none_or(|asked| now.since(asked) >= ASK_AGAIN_NS);
-        if !self.needs_refresh || !is_due {
+        if self.unsettled.is_none() && !(self.needs_refresh && is_due) {
             return None;
         }
+        let settled = self.unsettled.take().map(|update| update.0.checked_sub(1).map(UpdateId));
+        let after = settled.map_or(self.last_decoded, |settled| settled.min(self.last_decoded));
         self.asked = Some(now);
-        Some(self.last_decoded)
+        self.requested = Some(Requested { after, before: self.order.next, is_answered: false });
+        Some(after)
     }
 
     /// Pictures lost or undecodable since the last call.

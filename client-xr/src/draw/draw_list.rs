@@ -8,9 +8,10 @@ use crate::motion::{Motion, Users};
 use arrayvec::ArrayVec;
 use shadecast_protocol::ids::{PatchSlot, VertexSlot};
 use shadecast_protocol::limits::PATCH_MAX_VERTICES;
+use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, STORE_PAGE_SIDE};
 use shadecast_protocol::memory::{Patches, ResidentPatch};
 use shadecast_protocol::time::GridIndex;
-use shadecast_shaders::constants::IS_MASKED;
+use shadecast_shaders::constants::{BLOCK_END_BITS, IS_MASKED};
 use shadecast_shaders::generated::CornerGpu;
 
 /// Corners of a patch of three triangles, and its indices.
@@ -374,17 +375,25 @@ fn copy_changed<T: Copy>(changed: &mut [bool], per_chunk: usize, from: &[T], to:
     bytes
 }
 
+const _: () = assert!(
+    ATLAS_MAX_EXTENT[0] < 1 << BLOCK_END_BITS
+        && ATLAS_MAX_EXTENT[1] < 1 << BLOCK_END_BITS
+        && STORE_PAGE_SIDE < 1 << BLOCK_END_BITS
+);
+
 /// Corners of a patch with a block; none of another.
 fn corners_of(patch: &ResidentPatch) -> ArrayVec<CornerGpu, MAX_CORNERS_PER_PATCH> {
     let Some(block) = patch.block else { return ArrayVec::new() };
     let [left, top, right, bottom] = block.lookup_rect_texels();
     let [first_x, first_y, end_x, end_y] = block.rect_texels();
-    let flag = if patch.is_masked { IS_MASKED } else { 0 };
+    // Coverage is of the atlas alone.
+    let flag = if patch.is_masked && !block.is_stored() { IS_MASKED } else { 0 };
+    let page = u32::from(block.address.page) << (2 * BLOCK_END_BITS);
     let corner = |(uv, slot): (&[f32; 2], VertexSlot)| CornerGpu {
         vertex_slot: slot.0,
         instance: u32::from(patch.instance.0),
         atlas_texel: [left + (right - left) * uv[0], top + (bottom - top) * uv[1]],
-        block: [first_x | first_y << 16 | flag, end_x | end_y << 16],
+        block: [first_x | first_y << 16 | flag, end_x | end_y << BLOCK_END_BITS | page],
     };
     patch.kind.corner_uv().iter().zip(patch.vertices).map(corner).collect()
 }

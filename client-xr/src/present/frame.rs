@@ -98,6 +98,8 @@ impl Presenter {
             intake.take_presented();
         }
         intake.prepare();
+        // Pictures of which blocks settle come one by one; the newest counts.
+        while intake.is_behind() && intake.prepare() {}
         Ok(())
     }
 
@@ -164,17 +166,18 @@ impl Presenter {
     fn take_in_arrivals(&mut self, flight: Option<usize>) -> Result<(), ClientError> {
         let Some(flight) = flight.filter(|_| self.scenes.have_arrivals()) else { return Ok(()) };
         let mut recorder = self.renderer.gpu.record()?;
-        self.record_arrivals(&mut recorder);
+        self.record_arrivals(&mut recorder)?;
         let ticket = recorder.submit()?;
         self.renderer.stages.used_by(flight, ticket);
         self.used_by(ticket);
         Ok(())
     }
 
-    fn record_arrivals(&mut self, recorder: &mut Recorder) {
+    fn record_arrivals(&mut self, recorder: &mut Recorder) -> Result<(), GpuError> {
         recorder.barrier(VERTEX_MEMORY_USE, ARRIVALS); // the frame before reads and writes what arrivals write
-        self.scenes.record_arrivals(recorder, &self.renderer.stages);
+        self.scenes.record_arrivals(recorder, &self.renderer.stages)?;
         recorder.barrier(ARRIVALS, ARRIVALS); // for what moves vertices, and for the arrivals after these
+        Ok(())
     }
 
     /// What has arrived, the switch to the newest complete bundle, and motion up to the frame's display time.
@@ -184,7 +187,7 @@ impl Presenter {
         flight: usize,
         turn: &FrameTurn,
     ) -> Result<Content, GpuError> {
-        self.record_arrivals(recorder);
+        self.record_arrivals(recorder)?;
         let Self { scenes, renderer, .. } = self;
         let at = turn.display_time;
         let stages = &renderer.stages;

@@ -83,7 +83,7 @@ fn terms() -> Welcome {
         vertex_slots: 1,
         patch_slots: PATCH_SLOTS,
         motion: MotionMemory::LEAST,
-        store_pages: 0,
+        store_pages: 1,
         codec: Codec::H264,
         environment: Environment { zenith: [0.0; 3], horizon: [0.0; 3], nadir: [0.0; 3] },
         world_from_stage: Pose::IDENTITY,

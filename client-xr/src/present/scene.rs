@@ -5,12 +5,13 @@
 use crate::draw::draw_list::{DrawList, Drawable};
 use crate::draw::stages::Stages;
 use crate::draw::stages::arena::SkinMemory;
-use crate::draw::stages::atlas_draw::{BUNDLES, BundleMemory, BundleSet};
+use crate::draw::stages::atlas_draw::{BUNDLES, BundleMemory, BundleSet, Shared};
 use crate::draw::stages::batch::{BATCHES, Batch};
 use crate::draw::stages::interpolate::{self, Interpolation, Slots};
 use crate::draw::stages::pose::PoseStaging;
 use crate::draw::stages::probe::{EyeView, Probe, ProbeView};
 use crate::draw::stages::scatter::VertexMemory;
+use crate::draw::stages::settle::Store;
 use crate::handover::{Bundle, Loan};
 use crate::motion::pace::{GridTime, Pace, Span};
 use crate::motion::skinned::{PoseQuery, SkinCapacity, Skinned, SkinnedCounts};
@@ -43,6 +44,7 @@ pub struct Scene {
     /// What was taken in and is not needed any more, once the GPU is done with this frame.
     pub(crate) spent: Vec<Loan>,
     memory: VertexMemory,
+    store: Store,
     scatter_groups: Vec<BindGroup>,
     interpolate_group: BindGroup,
     skin_memory: SkinMemory,
@@ -88,6 +90,9 @@ impl Scene {
         let capacity = SkinCapacity::from(terms.motion);
         let memory = VertexMemory::new(gpu, &mut recorder, terms.vertex_slots, capacity)?;
         let skin_memory = SkinMemory::new(gpu, &mut recorder, capacity)?;
+        let store = Store::new(gpu, &mut recorder, terms.store_pages)?;
+        let shared = Shared { memory: &memory, store: &store, eyes: stages.eyes.each_ref() };
+        let has_store = terms.store_pages > 0;
         let (mut scatter_groups, mut sets, mut loans) = (Vec::new(), Vec::new(), Vec::new());
         for index in 0..BATCHES {
             let batch = Batch::new(gpu, index, terms.vertex_slots, capacity.sample_ring)?;
@@ -96,9 +101,8 @@ impl Scene {
         }
         for index in 0..BUNDLES {
             let extent = terms.atlas_extent_texels;
-            let bundle = stages.atlas.bundle_memory(gpu, index, terms.patch_slots, extent)?;
-            let eyes = stages.eyes.each_ref();
-            sets.push(stages.atlas.bundle_set(gpu, &mut recorder, &bundle, extent, &memory, eyes)?);
+            let bundle = stages.atlas.bundle_memory(gpu, index, terms.patch_slots, extent, has_store)?;
+            sets.push(stages.atlas.bundle_set(gpu, &mut recorder, &bundle, extent, shared)?);
             loans.push(Loan::Bundle(Box::new(Bundle {
                 memory: bundle,
                 coverage: None,
@@ -120,6 +124,7 @@ impl Scene {
             skin_group: stages.skin.bind(&memory, &skin_memory)?,
             terms,
             memory,
+            store,
             scatter_groups,
             skin_memory,
             sets,
@@ -155,19 +160,41 @@ impl Scene {
         !self.coming.is_empty()
     }
 
-    /// Takes in what was handed over: writes what is said of vertices and skeletons, and keeps the newest bundle. Needs a
-    /// barrier before and after it.
-    pub(crate) fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages) {
+    /// Takes in what was handed over: writes what is said of vertices and skeletons, and keeps the newest bundle. Of one that it
+    /// passes over, blocks settle. Needs a barrier before and after it.
+    ///
+    /// # Errors
+    /// As [`AtlasDraw::record_picture`](crate::draw::stages::atlas_draw::AtlasDraw::record_picture).
+    pub(crate) fn record_arrivals(
+        &mut self,
+        recorder: &mut Recorder,
+        stages: &Stages,
+    ) -> Result<(), GpuError> {
         while let Some(loan) = self.coming.pop_front() {
             match loan {
                 Loan::Batch(batch) => self.record_batch(recorder, stages, batch),
                 Loan::Bundle(bundle) => {
                     self.state.clone_from(&bundle.state);
-                    let passed_over = self.next.replace(bundle);
-                    self.spent.extend(passed_over.map(Loan::Bundle));
+                    if let Some(passed_over) = self.next.replace(bundle) {
+                        if !passed_over.memory.settled.is_empty() {
+                            self.record_picture(recorder, stages, &passed_over.memory)?;
+                        }
+                        self.spent.push(Loan::Bundle(passed_over));
+                    }
                 }
             }
         }
+        Ok(())
+    }
+
+    fn record_picture(
+        &mut self,
+        recorder: &mut Recorder,
+        stages: &Stages,
+        memory: &BundleMemory,
+    ) -> Result<(), GpuError> {
+        let shared = Shared { memory: &self.memory, store: &self.store, eyes: stages.eyes.each_ref() };
+        stages.atlas.record_picture(recorder, &mut self.sets[memory.index], memory, shared)
     }
 
     fn record_batch(&mut self, recorder: &mut Recorder, stages: &Stages, mut batch: Box<Batch>) {
@@ -189,9 +216,7 @@ impl Scene {
         time: WorldTime,
     ) -> Result<Option<ClientTime>, GpuError> {
         let Some(bundle) = self.next.take() else { return Ok(None) };
-        let Bundle { memory, .. } = &*bundle;
-        let (set, eyes) = (&mut self.sets[memory.index], stages.eyes.each_ref());
-        stages.atlas.record_picture(recorder, set, memory, &self.memory, eyes)?;
+        self.record_picture(recorder, stages, &bundle.memory)?;
         self.ready = bundle.list.ready_at(GridTime::of(self.terms.grid, time).step);
         self.has_switched = true;
         let picture_arrived = bundle.picture_arrived;
@@ -285,7 +310,8 @@ impl Scene {
                     stages.scatter.record(recorder, &self.scatter_groups[batch.index], &self.memory, batch);
                 }
                 Loan::Bundle(bundle) => {
-                    let BundleMemory { corners, indices, coverage, .. } = &mut bundle.memory;
+                    let BundleMemory { corners, indices, coverage, settled, .. } = &mut bundle.memory;
+                    settled.write_zeros();
                     [corners, indices, coverage].into_iter().for_each(|buffer| buffer.bytes_mut().fill(0));
                 }
             }

@@ -51,13 +51,18 @@ impl Scenes {
     }
 
     /// Takes in what was handed over. Needs a barrier before and after it.
-    pub(crate) fn record_arrivals(&mut self, recorder: &mut Recorder, stages: &Stages) {
+    ///
+    /// # Errors
+    /// As [`Scene::record_arrivals`].
+    pub(crate) fn record_arrivals(
+        &mut self,
+        recorder: &mut Recorder,
+        stages: &Stages,
+    ) -> Result<(), GpuError> {
         if let Some(scene) = &mut self.shown {
-            recorder.scope("arrivals", |r| scene.record_arrivals(r, stages));
+            recorder.scope("arrivals", |r| scene.record_arrivals(r, stages))?;
         }
-        if let Some(scene) = &mut self.next {
-            scene.record_arrivals(recorder, stages);
-        }
+        self.next.as_mut().map_or(Ok(()), |scene| scene.record_arrivals(recorder, stages))
     }
 
     /// Puts the newest complete bundle on display. That of a new connection takes the whole scene with it. Gives when the last byte

@@ -2,12 +2,13 @@
 //!
 //! Deltas arrive in the order of updates, pictures whenever they are decoded. A delta's vertices apply at once
 //! ([`crate::motion`]), so motion continues while a picture is late. Its patches wait for the picture of its update, or of a
-//! later one. A delta whose picture never arrived applies all the same. The module does not know vertices, GPUs and networks.
+//! later one. A delta whose picture never arrived applies all the same. A picture with blocks that settle is not passed over:
+//! it becomes a bundle, though perhaps none that is seen. The module does not know vertices, GPUs and networks.
 
 use crate::draw::coverage::CoverageMap;
 use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::coverage::Coverage;
-use shadecast_protocol::geometry::{GeometryDelta, NewPatch};
+use shadecast_protocol::geometry::{GeometryDelta, NewPatch, Settled};
 use shadecast_protocol::ids::{PatchSlot, UpdateId};
 use shadecast_protocol::limits::DEFAULT_PATCH_SLOTS;
 use shadecast_protocol::memory::Patches;
@@ -36,6 +37,10 @@ pub struct Bundler<P> {
     applied: Option<UpdateId>,
     /// The update on display.
     current: Option<UpdateId>,
+    /// What settles of its picture: where from, and where to.
+    settled: Vec<(Block, Block)>,
+    /// The first update whose blocks could not settle, for want of its picture.
+    unsettled: Option<UpdateId>,
     revision: Revision,
     /// Patch slots that have changed since they were taken, each once.
     changed: Vec<PatchSlot>,
@@ -59,13 +64,14 @@ struct PatchChanges {
     new: Vec<NewPatch>,
     placements: Vec<(PatchSlot, Option<Block>)>,
     coverage: Vec<(PatchSlot, Coverage)>,
+    settled: Vec<Settled>,
 }
 
 impl PatchChanges {
     fn records(&self) -> usize {
         let coverage_bytes: usize = self.coverage.iter().map(|(_, coverage)| coverage.byte_count()).sum();
         let of_coverage = self.coverage.len() + coverage_bytes / size_of::<NewPatch>();
-        1 + self.evicted.len() + self.new.len() + self.placements.len() + of_coverage
+        1 + self.evicted.len() + self.new.len() + self.placements.len() + self.settled.len() + of_coverage
     }
 
     fn apply_to(&self, patches: &mut Patches, map: &mut CoverageMap) -> Result<(), WireError> {
@@ -75,7 +81,8 @@ impl PatchChanges {
         patches.cover(&self.coverage)?;
         for (slot, coverage) in &self.coverage {
             let block = patches.get(*slot).and_then(|patch| patch.block);
-            block.iter().for_each(|block| map.cover(*block, coverage));
+            // A cutout's block is in the atlas; of another server's there is no coverage.
+            block.iter().filter(|block| !block.is_stored()).for_each(|block| map.cover(*block, coverage));
         }
         Ok(())
     }
@@ -92,6 +99,8 @@ impl<P> Bundler<P> {
             pictures: VecDeque::new(),
             applied: None,
             current: None,
+            settled: Vec::new(),
+            unsettled: None,
             revision: Revision::default(),
             changed: Vec::with_capacity(patch_slots as usize),
             is_changed: vec![false; patch_slots as usize],
@@ -127,6 +136,7 @@ impl<P> Bundler<P> {
             new: delta.new_patches,
             placements: delta.placements,
             coverage: delta.coverage,
+            settled: delta.settled,
         };
         self.pending_records += changes.records();
         self.pending.push_back(changes);
@@ -148,9 +158,38 @@ impl<P> Bundler<P> {
         let at = self.pictures.partition_point(|(known, _)| *known < update);
         self.pictures.insert(at, (update, picture));
         if self.pictures.len() > MAX_PICTURES {
-            return self.pictures.pop_front().map(|(_, picture)| picture);
+            let unneeded = self.pictures.iter().position(|(update, _)| self.settles(*update) == Some(false));
+            return self.pictures.remove(unneeded.unwrap_or(0)).map(|(_, picture)| picture);
         }
         None
+    }
+
+    /// Whether blocks settle with an update that waits; `None` where its delta has not come.
+    fn settles(&self, update: UpdateId) -> Option<bool> {
+        let place = self.pending.binary_search_by_key(&update, |changes| changes.update).ok()?;
+        Some(!self.pending[place].settled.is_empty())
+    }
+
+    /// The next picture to take, of those up to `complete`: the first with blocks that settle, or the newest.
+    fn next_picture(&self, complete: UpdateId) -> Option<usize> {
+        let count = self.pictures.partition_point(|(update, _)| *update <= complete);
+        let settles = |(update, _): &(UpdateId, P)| self.settles(*update) == Some(true);
+        self.pictures.iter().take(count).position(settles).or(count.checked_sub(1))
+    }
+
+    /// Whether a picture waits for who takes it.
+    pub fn has_complete(&self, complete: UpdateId) -> bool {
+        self.pictures.iter().any(|(update, _)| *update <= complete && !self.shown_or_past(*update))
+    }
+
+    /// The blocks of the last picture taken that settle: where they are in it, and where they go in the store.
+    pub fn settled(&self) -> &[(Block, Block)] {
+        &self.settled
+    }
+
+    /// The first update whose blocks could not settle since this was asked last.
+    pub fn take_unsettled(&mut self) -> Option<UpdateId> {
+        self.unsettled.take()
     }
 
     fn shown_or_past(&self, update: UpdateId) -> bool {
@@ -158,7 +197,7 @@ impl<P> Bundler<P> {
     }
 
     /// Switches to the newest update that has its picture, and its vertices in the GPU's memory: all up to `complete` have
-    /// them. Pictures that it makes superfluous go to `drop_picture`.
+    /// them. One with blocks that settle comes before newer ones. Pictures that it makes superfluous go to `drop_picture`.
     pub fn take_newest_complete(
         &mut self,
         complete: UpdateId,
@@ -167,14 +206,15 @@ impl<P> Bundler<P> {
         while self.pictures.front().is_some_and(|(update, _)| self.shown_or_past(*update)) {
             self.pictures.pop_front().into_iter().for_each(|(_, picture)| drop_picture(picture));
         }
-        let count = self.pictures.partition_point(|(update, _)| *update <= complete);
-        (1..count).filter_map(|_| self.pictures.pop_front()).for_each(|(_, picture)| drop_picture(picture));
-        // Those behind them wait for their vertices.
-        let (update, picture) = self.pictures.pop_front_if(|(update, _)| *update <= complete)?;
+        // Those behind it wait for their vertices, or for it.
+        let next = self.next_picture(complete)?;
+        self.pictures.drain(..next).for_each(|(_, picture)| drop_picture(picture));
+        let (update, picture) = self.pictures.pop_front()?;
+        self.current = Some(update);
+        self.settled.clear();
         while self.pending.front().is_some_and(|changes| changes.update <= update) {
             self.apply_next();
         }
-        self.current = Some(update);
         Some((update, picture))
     }
 
@@ -193,6 +233,20 @@ impl<P> Bundler<P> {
         }
         let applied = changes.apply_to(&mut self.patches, &mut self.coverage);
         applied.expect("the decoder has refused what contradicts the memory");
+        self.settle(changes.update, &changes.settled);
+    }
+
+    /// Notes what settles with an update that was just applied.
+    fn settle(&mut self, update: UpdateId, settled: &[Settled]) {
+        if self.current == Some(update) {
+            let places = settled.iter().filter_map(|Settled { slot, to }| {
+                let block = self.patches.get(*slot).and_then(|patch| patch.block)?;
+                Some((block, *to))
+            });
+            self.settled.extend(places);
+        } else if !settled.is_empty() {
+            self.unsettled.get_or_insert(update);
+        }
     }
 }
 

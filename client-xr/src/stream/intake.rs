@@ -11,7 +11,9 @@ use crate::options::ClientOptions;
 use crate::report::{DecodedIn, Notice};
 use shadecast_protocol::clock::ClockEstimate;
 use shadecast_protocol::delta::ReceivedDelta;
-use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_TRIANGLES, MAX_VERTEX_SLOTS};
+use shadecast_protocol::limits::{
+    ATLAS_MAX_EXTENT, MAX_PATCH_SLOTS, MAX_STORE_PAGES, MAX_TRIANGLES, MAX_VERTEX_SLOTS,
+};
 use shadecast_protocol::message::{Capabilities, MotionMemory, Welcome};
 use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
 use shadecast_protocol::pairing::ClientPairing;
@@ -131,7 +133,7 @@ impl Intake {
             max_patch_slots: options.max_patch_slots.min(MAX_PATCH_SLOTS),
             max_triangles: options.max_triangles.min(MAX_TRIANGLES),
             motion: options.motion.min(MotionMemory::MAX),
-            store_pages: 0,
+            store_pages: options.store_pages.min(MAX_STORE_PAGES),
             codecs: options.codecs.to_vec(),
             eyes,
             eye_extent_pixels,
@@ -246,6 +248,11 @@ impl Intake {
         self.preparing.as_ref().is_some_and(Preparing::wants_bundle)
     }
 
+    /// Whether the next bundle can follow the last at once.
+    pub(crate) fn is_behind(&mut self) -> bool {
+        self.preparing.as_mut().is_some_and(Preparing::is_behind)
+    }
+
     /// Hands over what is ready: one batch of arrivals, and the newest complete bundle. False where nothing was. To be called after
     /// [`Self::advance`].
     pub fn prepare(&mut self) -> bool {
@@ -258,6 +265,9 @@ impl Intake {
             notices.push_back(Notice::Failed(error.to_string()));
             None
         });
+        if let Some(update) = preparing.take_unsettled() {
+            link.note_unsettled(update);
+        }
         let is_something = batch.is_some() || bundle.is_some();
         for loan in batch.into_iter().chain(bundle) {
             end.give(Prepared::Loan(loan, preparing.serial));

@@ -7,6 +7,7 @@ use crate::decode::decoding::{self, DecodeTiming, Decoded, Decoding};
 use crate::decode::{Decoder, Picture};
 use crate::report::FrameReport;
 use shadecast_protocol::clock::ClockEstimate;
+use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{
     Capabilities, ClientHello, Displayed, HeadState, ResumeSecret, Welcome, sayable_period_ns,
 };
@@ -164,6 +165,13 @@ impl Link {
     pub(crate) fn recycle(&mut self, picture: Picture) {
         if let Some(decoding) = self.decoding() {
             decoding.recycle(picture);
+        }
+    }
+
+    /// The blocks of an update could not settle: the server is to know with the next refresh request.
+    pub(crate) fn note_unsettled(&mut self, update: UpdateId) {
+        if let Some(decoding) = self.decoding() {
+            decoding.note_unsettled(update);
         }
     }
 

@@ -89,13 +89,24 @@ impl Preparing {
         Some(Loan::Batch(batch))
     }
 
+    /// Whether the next bundle can follow the last at once: that one was made for blocks that settle with it.
+    pub(crate) fn is_behind(&mut self) -> bool {
+        let complete = self.motion.complete().filter(|_| !self.bundles.is_empty());
+        complete.is_some_and(|complete| self.bundler.has_complete(complete))
+    }
+
+    /// The first update whose blocks could not settle since this was asked last.
+    pub(crate) fn take_unsettled(&mut self) -> Option<UpdateId> {
+        self.bundler.take_unsettled()
+    }
+
     /// Whether there is a picture, and no memory for its bundle.
     pub(crate) fn wants_bundle(&self) -> bool {
         self.bundles.is_empty() && self.bundler.has_pictures()
     }
 
-    /// The newest complete bundle, if there is a newer one and memory for it: its picture, its patches' draw list. All that it
-    /// draws is in batches before it. Pictures that are not needed any more go to `recycle`.
+    /// The newest complete bundle, if there is a newer one and memory for it: its picture, its patches' draw list, the blocks that
+    /// settle with it. One with such comes before newer ones. All that it draws is in batches before it. Pictures that are not needed any more go to `recycle`.
     ///
     /// # Errors
     /// The device cannot draw pictures as the decoder now gives them.
@@ -124,6 +135,7 @@ impl Preparing {
                 recycle(Picture::FullChroma(planes));
             }
         }
+        bundle.memory.settled.write(self.bundler.settled().iter().copied());
         let coverage = self.bundler.revision().coverage;
         if bundle.coverage.replace(coverage) != Some(coverage) {
             bundle.memory.coverage.write(0, bytemuck::cast_slice(self.bundler.coverage().words()));

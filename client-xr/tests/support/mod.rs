@@ -4,6 +4,7 @@ use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
 use shadecast_client::decode::decoding::DecodeTiming;
 use shadecast_client::decode::{self, DecodeError, Decoder};
 use shadecast_client::display::xr::{Xr, XrOptions};
+use shadecast_client::options::DEFAULT_STORE_PAGES;
 use shadecast_client::platform::{MakeDecoder, Platform};
 use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
@@ -61,7 +62,17 @@ impl Run {
         self.client_of(options, decoder)
     }
 
+    /// The same that offers so many pages of settled blocks.
+    pub fn client_of_pages(&self, store_pages: u32) -> Client {
+        let options = XrOptions { validation: true, ..XrOptions::default() };
+        self.client_keeping(options, toy_decoder, store_pages)
+    }
+
     fn client_of(&self, options: XrOptions, decoder: MakeDecoder) -> Client {
+        self.client_keeping(options, decoder, DEFAULT_STORE_PAGES)
+    }
+
+    fn client_keeping(&self, options: XrOptions, decoder: MakeDecoder, store_pages: u32) -> Client {
         let xr = Xr::open(&Platform, options).expect("the mock headset opens");
         let options = ClientOptions {
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
@@ -70,6 +81,7 @@ impl Run {
             max_triangles: 384,
             motion: MotionMemory::DEFAULT,
             decoder,
+            store_pages,
             ..ClientOptions::default()
         };
         Client::new(Box::new(xr), options).expect("a client")

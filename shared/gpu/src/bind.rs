@@ -2,7 +2,7 @@
 
 use crate::memory::Garbage;
 use crate::ycbcr::{YcbcrImage, YcbcrSampler};
-use crate::{Buffer, Doing, Gpu, GpuError, Image, Sampler, limits};
+use crate::{Buffer, Doing, Gpu, GpuError, Image, ImageLevel, Sampler, limits};
 use ash::vk;
 use shadecast_spirv::{Binding, BindingKind, Shader, Stage};
 use std::sync::Arc;
@@ -39,8 +39,8 @@ pub enum Bind<'a> {
     Picture(&'a YcbcrImage),
     /// Images for a texture array, from element 0 on.
     Textures(&'a [(&'a Image, &'a Sampler)]),
-    /// A storage image, in GENERAL.
-    Storage(&'a Image),
+    /// A mip level as a storage image, in GENERAL.
+    Storage(&'a ImageLevel),
 }
 
 /// A descriptor set.
@@ -276,9 +276,9 @@ impl BindGroup {
                 assert!(all.len() <= binding.count as usize, "{}: a layout for fewer", binding.name);
                 images.extend(all.iter().map(|(i, s)| sampled(i, s)));
             }
-            Bind::Storage(image) => images.push(
+            Bind::Storage(level) => images.push(
                 vk::DescriptorImageInfo::default()
-                    .image_view(image.view)
+                    .image_view(level.view)
                     .image_layout(vk::ImageLayout::GENERAL),
             ),
         }

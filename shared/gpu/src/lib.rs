@@ -28,7 +28,7 @@ pub use context::{DesktopDevice, DeviceSource, Gpu, GpuOptions, survey};
 pub use devices::{DENSITY_MAP_EXTENSION, FoundDevice, Needs, PICTURE_EXTENSIONS};
 #[cfg(target_os = "android")]
 pub use hardware_buffer::HardwareBufferKind;
-pub use memory::{Buffer, Image, ImageDesc, Memory, MemoryUse, Sampler, SamplerDesc};
+pub use memory::{Buffer, Image, ImageDesc, ImageLevel, Memory, MemoryUse, Sampler, SamplerDesc};
 pub use pass::{Attachment, DENSITY_MAP_FORMAT, Foreign, Framebuffer, Part, RenderPass, RenderPassDesc};
 pub use pipeline::{ComputePipeline, GraphicsPipeline, GraphicsPipelineDesc, VertexInput};
 pub use recorder::{Access, Recorder, Ticket};

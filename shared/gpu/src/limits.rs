@@ -3,6 +3,7 @@
 
 use crate::{GpuError, Needs};
 use ash::vk;
+use shadecast_protocol::limits::MAX_STORE_PAGES;
 use shadecast_spirv::BindingKind;
 
 /// The offer of a device.
@@ -54,8 +55,8 @@ const ROWS: &[Row] = &[
     // Wrap modes of textures; one for each stage that samples.
     ("maxSamplerAllocationCount", [16, 8], |l| &mut l.core.max_sampler_allocation_count),
     ("maxImageDimension2D", [ATLAS_SIDE, ATLAS_SIDE], |l| &mut l.core.max_image_dimension2_d),
-    // Two eyes.
-    ("maxImageArrayLayers", [2, 2], |l| &mut l.core.max_image_array_layers),
+    // Two eyes; pages of the store.
+    ("maxImageArrayLayers", [2, MAX_STORE_PAGES], |l| &mut l.core.max_image_array_layers),
     ("maxMultiviewViewCount", [2, 2], |l| &mut l.multiview_views),
     ("maxFramebufferWidth", [ATLAS_SIDE, ATLAS_SIDE], |l| &mut l.core.max_framebuffer_width),
     ("maxFramebufferHeight", [ATLAS_SIDE, ATLAS_SIDE], |l| &mut l.core.max_framebuffer_height),
@@ -79,15 +80,18 @@ const ROWS: &[Row] = &[
     ("maxStorageBufferRange", [128 << 20, 128 << 20], |l| &mut l.core.max_storage_buffer_range),
     ("maxPerStageDescriptorUniformBuffers", [2, 2], |l| &mut l.core.max_per_stage_descriptor_uniform_buffers),
     ("maxPerStageDescriptorStorageBuffers", [14, 10], |l| &mut l.core.max_per_stage_descriptor_storage_buffers),
-    // A texture and the shadow map; three planes, or a picture of a platform's format.
-    (SAMPLERS, [2, 4], |l| &mut l.core.max_per_stage_descriptor_samplers),
-    ("maxPerStageDescriptorSampledImages", [2, 4], |l| &mut l.core.max_per_stage_descriptor_sampled_images),
+    // A texture and the shadow map; the store, and three planes or a picture of a platform's format.
+    (SAMPLERS, [2, 5], |l| &mut l.core.max_per_stage_descriptor_samplers),
+    ("maxPerStageDescriptorSampledImages", [2, 5], |l| &mut l.core.max_per_stage_descriptor_sampled_images),
+    // Two mip levels of the store.
+    ("maxPerStageDescriptorStorageImages", [0, 2], |l| &mut l.core.max_per_stage_descriptor_storage_images),
     // Attachments count.
     ("maxPerStageResources", [17, 10], |l| &mut l.core.max_per_stage_resources),
     ("maxDescriptorSetUniformBuffers", [2, 2], |l| &mut l.core.max_descriptor_set_uniform_buffers),
     ("maxDescriptorSetStorageBuffers", [14, 10], |l| &mut l.core.max_descriptor_set_storage_buffers),
-    ("maxDescriptorSetSamplers", [2, 4], |l| &mut l.core.max_descriptor_set_samplers),
-    ("maxDescriptorSetSampledImages", [2, 4], |l| &mut l.core.max_descriptor_set_sampled_images),
+    ("maxDescriptorSetSamplers", [2, 5], |l| &mut l.core.max_descriptor_set_samplers),
+    ("maxDescriptorSetSampledImages", [2, 5], |l| &mut l.core.max_descriptor_set_sampled_images),
+    ("maxDescriptorSetStorageImages", [0, 2], |l| &mut l.core.max_descriptor_set_storage_images),
     // The curves of one path.
     ("maxComputeSharedMemorySize", [0, 48], |l| &mut l.core.max_compute_shared_memory_size),
     ("maxComputeWorkGroupInvocations", [128, 64], |l| &mut l.core.max_compute_work_group_invocations),
@@ -110,19 +114,21 @@ const OF_TEXTURES: [&str; 5] = [
 ];
 
 /// The limits of a stage: descriptors of a kind, or of all.
-pub(crate) const OF_STAGES: [(&str, Option<BindingKind>); 5] = [
+pub(crate) const OF_STAGES: [(&str, Option<BindingKind>); 6] = [
     ("maxPerStageDescriptorUniformBuffers", Some(BindingKind::UniformBuffer)),
     ("maxPerStageDescriptorStorageBuffers", Some(BindingKind::StorageBuffer)),
     (SAMPLERS, Some(BindingKind::SampledImage)),
     ("maxPerStageDescriptorSampledImages", Some(BindingKind::SampledImage)),
+    ("maxPerStageDescriptorStorageImages", Some(BindingKind::StorageImage)),
     ("maxPerStageResources", None),
 ];
 /// The limits of a set: descriptors of a kind.
-pub(crate) const OF_SETS: [(&str, BindingKind); 4] = [
+pub(crate) const OF_SETS: [(&str, BindingKind); 5] = [
     ("maxDescriptorSetUniformBuffers", BindingKind::UniformBuffer),
     ("maxDescriptorSetStorageBuffers", BindingKind::StorageBuffer),
     ("maxDescriptorSetSamplers", BindingKind::SampledImage),
     ("maxDescriptorSetSampledImages", BindingKind::SampledImage),
+    ("maxDescriptorSetStorageImages", BindingKind::StorageImage),
 ];
 
 /// The whole table for a device, in its order, without the rows that a program does not need.

@@ -92,6 +92,8 @@ pub struct ImageDesc {
     pub extent: [u32; 2],
     /// Array layers.
     pub layers: u32,
+    /// Shaders see an array, also where it has one layer.
+    pub is_array: bool,
     /// Mip levels.
     pub mips: u32,
     /// Samples per texel.
@@ -105,17 +107,24 @@ pub struct ImageDesc {
 impl ImageDesc {
     /// One layer, one mip level, one sample.
     pub fn new(name: &'static str, extent: [u32; 2], format: vk::Format, usage: vk::ImageUsageFlags) -> Self {
-        Self { name, extent, layers: 1, mips: 1, samples: vk::SampleCountFlags::TYPE_1, format, usage }
+        let samples = vk::SampleCountFlags::TYPE_1;
+        Self { name, extent, layers: 1, is_array: false, mips: 1, samples, format, usage }
     }
 }
 
-/// An image with its memory and one view of all of it (a 2D view for one layer, an array view for more).
+/// An image with its memory and one view of all of it (a 2D view for one layer, an array view for more or where the description asks for it).
 pub struct Image {
     gpu: Arc<Gpu>,
     pub(crate) handle: vk::Image,
     pub(crate) view: vk::ImageView,
     backing: Option<Backing>,
     desc: ImageDesc,
+}
+
+/// A view of one mip level of an image, of all of its layers, as an array. The image outlives its use.
+pub struct ImageLevel {
+    gpu: Arc<Gpu>,
+    pub(crate) view: vk::ImageView,
 }
 
 /// Where an image's memory comes from.
@@ -393,6 +402,22 @@ impl Image {
         self.view
     }
 
+    /// A mip level of it, for shaders that write it.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn level(&self, level: u32) -> Result<ImageLevel, GpuError> {
+        let range = vk::ImageSubresourceRange { base_mip_level: level, level_count: 1, ..self.whole() };
+        let info = vk::ImageViewCreateInfo::default()
+            .image(self.handle)
+            .view_type(vk::ImageViewType::TYPE_2D_ARRAY)
+            .format(self.desc.format)
+            .subresource_range(range);
+        // SAFETY: the image is alive and has the level, which the validation layers check in tests.
+        let view = unsafe { self.gpu.device().create_image_view(&info, None) };
+        Ok(ImageLevel { gpu: self.gpu.clone(), view: view.doing("creating a view of a mip level")? })
+    }
+
     /// All of it, for barriers.
     pub fn whole(&self) -> vk::ImageSubresourceRange {
         whole(&self.desc, 0, self.desc.layers)
@@ -419,6 +444,12 @@ fn check_extent(limits: &DeviceLimits, desc: &ImageDesc) -> Result<(), GpuError>
 impl Drop for Image {
     fn drop(&mut self) {
         self.gpu.retire(Garbage::Image(self.handle, self.view, self.backing.take()));
+    }
+}
+
+impl Drop for ImageLevel {
+    fn drop(&mut self) {
+        self.gpu.retire(Garbage::View(self.view));
     }
 }
 
@@ -479,7 +510,10 @@ pub(crate) fn create_view(
     (first_layer, layers): (u32, u32),
     view: YcbcrView,
 ) -> Result<vk::ImageView, GpuError> {
-    let kind = if layers == 1 { vk::ImageViewType::TYPE_2D } else { vk::ImageViewType::TYPE_2D_ARRAY };
+    let kind = match layers == 1 && !desc.is_array {
+        true => vk::ImageViewType::TYPE_2D,
+        false => vk::ImageViewType::TYPE_2D_ARRAY,
+    };
     let with = |conversion| vk::SamplerYcbcrConversionInfo::default().conversion(conversion);
     let mut conversion = view.0.map(with);
     let mut info = vk::ImageViewCreateInfo::default()

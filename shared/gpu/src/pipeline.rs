@@ -101,12 +101,23 @@ impl ComputePipeline {
     pub fn specialised(gpu: &Arc<Gpu>, shader: &Shader, constants: &[u32]) -> Result<Self, GpuError> {
         let workgroup = shader.workgroup.expect("a compute shader");
         let key = format!("{} {constants:?}", identity(shader));
-        let made = gpu.pipelines.get(key, || Self::make(gpu, shader, constants))?;
+        let made = gpu.pipelines.get(key, || Self::make(gpu, shader, constants, None))?;
         Ok(Self { made, workgroup })
     }
 
-    fn make(gpu: &Arc<Gpu>, shader: &Shader, constants: &[u32]) -> Result<Made, GpuError> {
-        let layout = Layout::new(gpu, &[shader])?;
+    /// A pipeline with a sampler that is part of it.
+    pub fn fixing(gpu: &Arc<Gpu>, shader: &Shader, fixed: FixedSampler) -> Result<Self, GpuError> {
+        let workgroup = shader.workgroup.expect("a compute shader");
+        Ok(Self { made: Arc::new(Self::make(gpu, shader, &[], Some(fixed))?), workgroup })
+    }
+
+    fn make(
+        gpu: &Arc<Gpu>,
+        shader: &Shader,
+        constants: &[u32],
+        fixed: Option<FixedSampler>,
+    ) -> Result<Made, GpuError> {
+        let layout = Layout::fixing(gpu, &[shader], fixed, 0)?;
         let module = module(gpu, shader)?;
         let entry = |id: u32| vk::SpecializationMapEntry { constant_id: id, offset: id * 4, size: 4 };
         let entries: Vec<_> = (0..constants.len() as u32).map(entry).collect();

@@ -66,6 +66,14 @@ impl Access {
     /// Fragment shaders read.
     pub const FRAGMENT_READ: Self =
         Self(vk::PipelineStageFlags::FRAGMENT_SHADER, vk::AccessFlags::SHADER_READ);
+    /// Fragment and compute shaders read.
+    pub const PICTURE_READ: Self = Self(
+        vk::PipelineStageFlags::from_raw(
+            vk::PipelineStageFlags::FRAGMENT_SHADER.as_raw()
+                | vk::PipelineStageFlags::COMPUTE_SHADER.as_raw(),
+        ),
+        vk::AccessFlags::SHADER_READ,
+    );
     /// A pass has written colour.
     pub const COLOR_WRITE: Self =
         Self(vk::PipelineStageFlags::COLOR_ATTACHMENT_OUTPUT, vk::AccessFlags::COLOR_ATTACHMENT_WRITE);
@@ -503,7 +511,7 @@ impl Recorder {
         self.transition_range(image, image.whole(), layouts, before, after);
     }
 
-    /// Takes over a picture that something else than this device has written, so that fragment shaders can read it.
+    /// Takes over a picture that something else than this device has written, so that fragment and compute shaders can read it.
     pub fn take_over(&mut self, picture: &YcbcrImage) {
         let barrier = vk::ImageMemoryBarrier::default()
             .image(picture.image.handle)
@@ -511,10 +519,10 @@ impl Recorder {
             // What a platform has written to its memory stays there: a layout is this device's affair.
             .old_layout(vk::ImageLayout::UNDEFINED)
             .new_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)
-            .dst_access_mask(Access::FRAGMENT_READ.1)
+            .dst_access_mask(Access::PICTURE_READ.1)
             .src_queue_family_index(vk::QUEUE_FAMILY_FOREIGN_EXT)
             .dst_queue_family_index(self.gpu.queue_family);
-        let (before, after) = (Access::NONE.0, Access::FRAGMENT_READ.0);
+        let (before, after) = (Access::NONE.0, Access::PICTURE_READ.0);
         // SAFETY: the image is alive, and belongs to nobody else until it is given back.
         unsafe {
             let (commands, flags) = (self.commands(), vk::DependencyFlags::empty());
@@ -577,9 +585,15 @@ impl Recorder {
         }
     }
 
-    /// Copies one layer and mip level of an image (in TRANSFER_SRC_OPTIMAL) to a buffer, rows tight.
+    /// Copies the finest level of one layer of an image (in TRANSFER_SRC_OPTIMAL) to a buffer, rows tight.
     pub fn read_image(&mut self, image: &Image, layer: u32, buffer: &Buffer, offset_bytes: u64) {
-        let region = region(image, image.desc().extent, layer, 0, offset_bytes);
+        self.read_level(image, [layer, 0], buffer, offset_bytes);
+    }
+
+    /// The same of a layer and a mip level.
+    pub fn read_level(&mut self, image: &Image, [layer, mip]: [u32; 2], buffer: &Buffer, offset_bytes: u64) {
+        let extent = image.desc().extent.map(|side| (side >> mip).max(1));
+        let region = region(image, extent, layer, mip, offset_bytes);
         // SAFETY: both are alive and the image is in the layout named above.
         unsafe {
             self.gpu.device().cmd_copy_image_to_buffer(

@@ -2,6 +2,7 @@
 
 use super::FRAMES_IN_FLIGHT;
 use super::scatter::VertexMemory;
+use super::settle::{Settle, SettlePicture, SettleSet, SettleTiles, Store};
 use super::upload::{Chroma, PlaneStaging, Planes};
 use crate::decode::DevicePicture;
 use crate::display::EyeImages;
@@ -61,17 +62,35 @@ pub struct AtlasDraw {
     chroma: Chroma,
     ways: Ways,
     sampler: Sampler,
+    settle: Settle,
 }
 
 /// The pipeline of what covers all of its block, without `discard`, so that its depth is tested early, and that of cutouts.
 pub struct Ways([GraphicsPipeline; 2]);
+
+/// Both for pictures on the device, and the pipeline that copies blocks of such.
+pub struct OfPictures {
+    draw: Ways,
+    settle: SettlePicture,
+}
+
+/// What all bundles of a connection are drawn with.
+#[derive(Clone, Copy)]
+pub struct Shared<'a> {
+    /// Positions of the corners.
+    pub memory: &'a VertexMemory,
+    /// Copies of blocks of earlier pictures.
+    pub store: &'a Store,
+    /// The eyes of each frame in flight.
+    pub eyes: [&'a Buffer; FRAMES_IN_FLIGHT],
+}
 
 /// The pipelines of pictures on the device, on the thread that takes them in: made when the first comes, and anew when the decoder changes
 /// their format.
 pub struct PictureWays {
     gpu: Arc<Gpu>,
     pass: Arc<RenderPass>,
-    made: Option<(Arc<YcbcrSampler>, Arc<Ways>)>,
+    made: Option<(Arc<YcbcrSampler>, Arc<OfPictures>)>,
 }
 
 /// A bundle's bindings for both, one per frame in flight.
@@ -90,7 +109,9 @@ pub struct BundleMemory {
     /// The picture, where the CPU has it.
     pub planes: PlaneStaging,
     /// The picture, where the device has it, and what draws it; it counts where it is there.
-    pub on_device: Option<(DevicePicture, Arc<Ways>)>,
+    pub on_device: Option<(DevicePicture, Arc<OfPictures>)>,
+    /// The blocks of the picture that settle.
+    pub settled: SettleTiles,
 }
 
 /// One on display, one that is made, and one that the device may still read.
@@ -101,8 +122,17 @@ pub struct BundleSet {
     /// The picture that the CPU had.
     pub planes: Planes,
     groups: Groups,
+    settle: SettleSet,
     /// With the picture that the device has, and what draws it.
-    of_picture: Option<(Arc<Ways>, Groups)>,
+    of_picture: Option<PictureSet>,
+}
+
+/// Bindings of a picture that the device has.
+struct PictureSet {
+    ways: Arc<OfPictures>,
+    groups: Groups,
+    /// None without a store.
+    settle: Option<BindGroup>,
 }
 
 impl EyeTargets {
@@ -214,7 +244,7 @@ impl AtlasDraw {
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler =
             SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
-        Ok(Self { chroma, ways, sampler: Sampler::new(gpu, sampler)? })
+        Ok(Self { chroma, ways, sampler: Sampler::new(gpu, sampler)?, settle: Settle::new(gpu)? })
     }
 
     /// Memory for a bundle of a connection with these capacities.
@@ -224,6 +254,7 @@ impl AtlasDraw {
         index: usize,
         patch_slots: u32,
         extent: AtlasExtent,
+        has_store: bool,
     ) -> Result<BundleMemory, GpuError> {
         let patches = u64::from(patch_slots);
         let corner_bytes = patches * (MAX_CORNERS_PER_PATCH * size_of::<CornerGpu>()) as u64;
@@ -235,6 +266,10 @@ impl AtlasDraw {
             coverage: Buffer::new(gpu, "coverage", CoverageMap::byte_count(extent), Memory::Upload)?,
             planes: PlaneStaging::new(gpu, extent, self.chroma)?,
             on_device: None,
+            settled: match has_store {
+                true => SettleTiles::new(gpu, extent, patch_slots)?,
+                false => SettleTiles::none(gpu)?,
+            },
         })
     }
 
@@ -245,17 +280,18 @@ impl AtlasDraw {
         recorder: &mut Recorder,
         bundle: &BundleMemory,
         extent: AtlasExtent,
-        memory: &VertexMemory,
-        eyes: [&Buffer; FRAMES_IN_FLIGHT],
+        shared: Shared<'_>,
     ) -> Result<BundleSet, GpuError> {
         let planes = Planes::new(gpu, recorder, extent, self.chroma)?;
         let [luma, cb, cr] = planes.images.each_ref().map(|plane| Bind::Sampled(plane, &self.sampler));
         let pictures = [("luma_plane", luma), ("cb_plane", cb), ("cr_plane", cr)];
-        let groups = self.ways.bind(bundle, memory, eyes, &pictures)?;
-        Ok(BundleSet { planes, groups, of_picture: None })
+        let groups = self.ways.bind(bundle, shared, &self.settle.sampler, &pictures)?;
+        let settle = self.settle.bind(&bundle.settled, shared.store, &planes, &self.sampler)?;
+        Ok(BundleSet { planes, groups, settle, of_picture: None })
     }
 
-    /// Puts the picture of `bundle` where its draw finds it. The GPU is done with what was there.
+    /// Puts the picture of `bundle` where its draw finds it, and copies the blocks of it that settle to the store. The GPU is done
+    /// with what was there.
     ///
     /// # Errors
     /// The device has no room for the bindings of pictures of a format that was not there before.
@@ -264,24 +300,57 @@ impl AtlasDraw {
         recorder: &mut Recorder,
         set: &mut BundleSet,
         bundle: &BundleMemory,
-        memory: &VertexMemory,
-        eyes: [&Buffer; FRAMES_IN_FLIGHT],
+        shared: Shared<'_>,
     ) -> Result<(), GpuError> {
-        let Some((DevicePicture { image, is_foreign, .. }, ways)) = &bundle.on_device else {
-            set.planes.record(recorder, &bundle.planes);
-            return Ok(());
-        };
-        if *is_foreign {
-            recorder.take_over(image);
+        match &bundle.on_device {
+            None => set.planes.record(recorder, &bundle.planes),
+            Some((DevicePicture { image, is_foreign, .. }, ways)) => {
+                if *is_foreign {
+                    recorder.take_over(image);
+                }
+                self.bind_picture(set, bundle, (image, ways), shared)?;
+            }
         }
+        if !bundle.settled.is_empty() {
+            self.record_settled(recorder, set, bundle, shared.store);
+        }
+        Ok(())
+    }
+
+    fn bind_picture(
+        &self,
+        set: &mut BundleSet,
+        bundle: &BundleMemory,
+        (image, ways): (&YcbcrImage, &Arc<OfPictures>),
+        shared: Shared<'_>,
+    ) -> Result<(), GpuError> {
         match &mut set.of_picture {
-            Some((bound, groups)) if Arc::ptr_eq(bound, ways) => ways.rebind(groups, image),
+            Some(bound) if Arc::ptr_eq(&bound.ways, ways) => {
+                ways.draw.rebind(&mut bound.groups, image);
+                bound.settle.iter_mut().for_each(|group| ways.settle.rebind(group, image));
+            }
             bound => {
                 let pictures = [("picture", Bind::Picture(image))];
-                *bound = Some((ways.clone(), ways.bind(bundle, memory, eyes, &pictures)?));
+                *bound = Some(PictureSet {
+                    ways: ways.clone(),
+                    groups: ways.draw.bind(bundle, shared, &self.settle.sampler, &pictures)?,
+                    settle: ways.settle.bind(&bundle.settled, shared.store, image)?,
+                });
             }
         }
         Ok(())
+    }
+
+    fn record_settled(&self, recorder: &mut Recorder, set: &BundleSet, bundle: &BundleMemory, store: &Store) {
+        let BundleSet { settle, of_picture, .. } = set;
+        match of_picture.as_ref().filter(|_| bundle.on_device.is_some()) {
+            None => self.settle.record(recorder, store, settle, &bundle.settled),
+            Some(PictureSet { ways, settle: Some(group), .. }) => {
+                let finest = (&ways.settle, group);
+                self.settle.record_picture(recorder, store, settle, &bundle.settled, finest);
+            }
+            Some(_) => {}
+        }
     }
 
     /// Draws what can be drawn of `bundle`, whose picture is where its draw finds it, with the eyes of frame in flight `flight`.
@@ -294,7 +363,7 @@ impl AtlasDraw {
         drawn: Drawable,
     ) {
         let (ways, groups) = match set.of_picture.as_ref().filter(|_| bundle.on_device.is_some()) {
-            Some((ways, groups)) => (&**ways, groups),
+            Some(PictureSet { ways, groups, .. }) => (&ways.draw, groups),
             None => (&self.ways, &set.groups),
         };
         let ways = ways.0.iter().zip(groups);
@@ -329,8 +398,8 @@ impl Ways {
     fn bind(
         &self,
         bundle: &BundleMemory,
-        memory: &VertexMemory,
-        eyes: [&Buffer; FRAMES_IN_FLIGHT],
+        Shared { memory, store, eyes }: Shared<'_>,
+        of_store: &Sampler,
         pictures: &[(&str, Bind<'_>)],
     ) -> Result<Groups, GpuError> {
         let group = |pipeline: &GraphicsPipeline, eyes| {
@@ -339,6 +408,7 @@ impl Ways {
                 ("Positions", Bind::Buffer(&memory.positions)),
                 ("Eyes", Bind::Buffer(eyes)),
                 ("Coverage", Bind::Buffer(&bundle.coverage)),
+                ("store", Bind::Sampled(&store.image, of_store)),
             ];
             binds.extend_from_slice(pictures);
             BindGroup::of(pipeline.layout(), &binds)
@@ -376,7 +446,7 @@ impl PictureWays {
     ///
     /// # Errors
     /// The device cannot draw pictures of its format.
-    pub fn of(&mut self, picture: &YcbcrImage) -> Result<Arc<Ways>, GpuError> {
+    pub fn of(&mut self, picture: &YcbcrImage) -> Result<Arc<OfPictures>, GpuError> {
         let sampler = &picture.sampler;
         if let Some((_, ways)) = self.made.as_ref().filter(|(known, _)| Arc::ptr_eq(known, sampler)) {
             return Ok(ways.clone());
@@ -386,7 +456,8 @@ impl PictureWays {
             true => [&CLIENT_ATLAS_COSITED_FRAG, &CLIENT_ATLAS_MASKED_COSITED_FRAG],
         };
         let fixed = Some(("picture", sampler.clone()));
-        let ways = Arc::new(Ways::new(&self.gpu, &self.pass, shaders, fixed)?);
+        let draw = Ways::new(&self.gpu, &self.pass, shaders, fixed)?;
+        let ways = Arc::new(OfPictures { draw, settle: SettlePicture::new(&self.gpu, sampler)? });
         self.made = Some((sampler.clone(), ways.clone()));
         Ok(ways)
     }

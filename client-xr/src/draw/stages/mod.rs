@@ -14,6 +14,7 @@ pub mod notice;
 pub mod pose;
 pub mod probe;
 pub mod scatter;
+pub mod settle;
 pub mod skin;
 pub mod text;
 pub mod upload;

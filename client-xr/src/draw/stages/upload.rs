@@ -76,7 +76,7 @@ impl Planes {
         let images = [plane(gpu, "luma", luma)?, plane(gpu, "cb", cb)?, plane(gpu, "cr", cr)?];
         for image in &images {
             let layouts = [vk::ImageLayout::UNDEFINED, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
-            recorder.transition(image, layouts, Access::NONE, Access::FRAGMENT_READ);
+            recorder.transition(image, layouts, Access::NONE, Access::PICTURE_READ);
         }
         Ok(Self { images })
     }
@@ -85,10 +85,10 @@ impl Planes {
     pub fn record(&self, recorder: &mut Recorder, staging: &PlaneStaging) {
         for (image, offset) in self.images.iter().zip(staging.offsets) {
             let written = [vk::ImageLayout::UNDEFINED, vk::ImageLayout::TRANSFER_DST_OPTIMAL];
-            recorder.transition(image, written, Access::FRAGMENT_READ, Access::COPY_WRITE);
+            recorder.transition(image, written, Access::PICTURE_READ, Access::COPY_WRITE);
             recorder.write_image(image, 0, &staging.staging, offset as u64);
             let read = [vk::ImageLayout::TRANSFER_DST_OPTIMAL, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL];
-            recorder.transition(image, read, Access::COPY_WRITE, Access::FRAGMENT_READ);
+            recorder.transition(image, read, Access::COPY_WRITE, Access::PICTURE_READ);
         }
     }
 }

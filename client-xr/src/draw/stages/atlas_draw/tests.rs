@@ -110,10 +110,16 @@ struct Bench {
     targets: EyeTargets,
     memory: VertexMemory,
     eyes: [Buffer; FRAMES_IN_FLIGHT],
+    /// Without pages, unless a test has others.
+    store: Store,
 }
 
 impl Bench {
     fn new() -> Self {
+        Self::with_store(0)
+    }
+
+    fn with_store(pages: u32) -> Self {
         let options = GpuOptions { needs: Needs::ClientOfPictures, validation: true, device_name: None };
         let gpu = Gpu::open(&options, &DesktopDevice)
             .expect("a Vulkan device; `./shadecast setup` installs a software one");
@@ -129,13 +135,31 @@ impl Bench {
         let mut recorder = gpu.record().unwrap();
         let capacity = SkinCapacity::from(MotionMemory { sample_ring: 8, ..MotionMemory::NONE });
         let memory = VertexMemory::new(&gpu, &mut recorder, VERTICES, capacity).unwrap();
+        let store = Store::new(&gpu, &mut recorder, pages).unwrap();
         gpu.wait(recorder.submit().unwrap()).unwrap();
         let mut eyes = eye_buffers(&gpu).unwrap();
         let as_they_are = [Mat4::IDENTITY.to_cols_array_2d(); 2];
         let usual = eyes_gpu([Pose::IDENTITY; 2], [Pose::IDENTITY; 2], [Fov::symmetric_degrees(90.0); 2]);
         let eyes_in_clip_space = EyesGpu { clip_from_world: as_they_are, ..usual };
         eyes.iter_mut().for_each(|buffer| buffer.write(0, bytemuck::bytes_of(&eyes_in_clip_space)));
-        Self { gpu, image, targets, memory, eyes }
+        Self { gpu, image, targets, memory, eyes, store }
+    }
+
+    fn shared(&self) -> Shared<'_> {
+        Shared { memory: &self.memory, store: &self.store, eyes: self.eyes.each_ref() }
+    }
+
+    /// Takes a picture in.
+    fn fill(&self, bundle: &mut BundleMemory, picture: &Picture) {
+        match picture {
+            Picture::Planes(planes) => bundle.planes.write(planes.planes()),
+            Picture::OnDevice(DevicePicture { image, .. }) => {
+                let (image, lease) = (image.clone(), Box::new(()));
+                let ways = PictureWays::new(&self.gpu, &self.targets.pass).of(&image).unwrap();
+                bundle.on_device = Some((DevicePicture { image, is_foreign: false, lease }, ways));
+            }
+            Picture::FullChroma(_) => unreachable!("no test has such"),
+        }
     }
 
     /// The left eye's bytes of the patches, whose blocks `picture` holds.
@@ -156,9 +180,9 @@ impl Bench {
         let positions = Buffer::upload(gpu, "positions", &shown.positions).unwrap();
         recorder.copy_buffer(&positions, 0, &self.memory.positions, 0, positions.size());
         let stage = AtlasDraw::new(gpu, &self.targets.pass, lookup).unwrap();
-        let eyes = self.eyes.each_ref();
-        let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS).unwrap();
-        let mut set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, &self.memory, eyes).unwrap();
+        let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS, false).unwrap();
+        let shared = self.shared();
+        let mut set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, shared).unwrap();
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(bundle.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(bundle.indices.bytes_mut());
         let mut writer = ListWriter::new(corners, indices);
@@ -168,16 +192,8 @@ impl Bench {
         if shown.patches.iter().any(|patch| patch.is_masked) {
             drawn = Drawable { cutouts: [0, drawn.opaque], ..Drawable::default() };
         }
-        match picture {
-            Picture::Planes(planes) => bundle.planes.write(planes.planes()),
-            Picture::OnDevice(DevicePicture { image, .. }) => {
-                let (image, lease) = (image.clone(), Box::new(()));
-                let ways = PictureWays::new(gpu, &self.targets.pass).of(&image).unwrap();
-                bundle.on_device = Some((DevicePicture { image, is_foreign: false, lease }, ways));
-            }
-            Picture::FullChroma(_) => unreachable!("no test has such"),
-        }
-        stage.record_picture(&mut recorder, &mut set, &bundle, &self.memory, eyes).unwrap();
+        self.fill(&mut bundle, picture);
+        stage.record_picture(&mut recorder, &mut set, &bundle, shared).unwrap();
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         self.targets.begin(&mut recorder, 0);
         stage.record(&mut recorder, &set, &bundle, 0, drawn);
@@ -362,3 +378,5 @@ fn a_multi_plane_image_has_the_colours_of_its_planes() {
     }
     assert_eq!(bench.gpu.validation_messages(), 0, "{:?}", bench.gpu.validation_texts());
 }
+
+mod stored;

@@ -1,0 +1,29 @@
+// What all fragment shaders of the one draw share: what a patch is told, and the colours of the store. The colour is chosen in a
+// branch, so derivatives are taken before it, and lookups in it name their level.
+#include "environment.glsl"
+#include "store_lookup.glsl"
+
+layout(location = 0) in vec2 atlas_texel;
+layout(location = 1) flat in vec4 block; // left, top, right, bottom in texels
+layout(location = 2) flat in vec2 stored; // layer and highest mip level in the store; below 0: it lies in the atlas
+layout(location = 0) out vec4 color; // linear; the attachment is sRGB
+
+vec4 displayed(vec3 srgb) {
+    return vec4(linear_from_srgb(clamp(srgb, 0.0, 1.0)), 1.0);
+}
+
+vec4 pixel_footprint() {
+    return vec4(dFdx(atlas_texel), dFdy(atlas_texel));
+}
+
+bool is_stored() {
+    return stored.x >= 0.0;
+}
+
+vec4 stored_color(vec4 footprint) {
+    return displayed(store_linear(atlas_texel, block, stored.x, store_level(footprint, stored.y)));
+}
+
+vec4 stored_cubic_color(vec4 footprint) {
+    return displayed(store_cubic(atlas_texel, block, stored.x, store_level(footprint, stored.y)));
+}
