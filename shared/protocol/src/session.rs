@@ -77,6 +77,7 @@ impl Out {
 }
 
 /// What a client learns.
+#[allow(clippy::large_enum_variant, reason = "most are deltas, and each is taken at once")]
 #[derive(Clone, Debug, PartialEq)]
 pub enum ClientEvent {
     /// The session stands.

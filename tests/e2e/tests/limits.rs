@@ -1,6 +1,6 @@
 //! The table of limits against the shaders: each need is the largest of all pipelines.
 
-use shadecast_gpu::limits::{DeviceLimits, verdict, verdicts};
+use shadecast_gpu::limits::{DeviceLimits, verdicts};
 use shadecast_gpu::{Needs, survey};
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, MAX_KEPT_SAMPLES, MAX_VERTEX_SLOTS};
 use shadecast_shaders::constants::{CHUNK_VERTICES, ID_BUFFER_VIEWS, YCBCR_TEXELS};
@@ -56,8 +56,10 @@ const CLIENT: &[&[&Shader]] = &[
 /// Planes of a picture of a platform's format, each of which may take a descriptor.
 const PICTURE_PLANES: u32 = 4;
 
+/// 0 where the table has no such row for a program.
 fn need(needs: Needs, name: &str) -> u32 {
-    verdict(&DeviceLimits::default(), needs, name).needed
+    let rows = verdicts(&DeviceLimits::default(), needs);
+    rows.iter().find(|row| row.name == name).map_or(0, |row| row.needed)
 }
 
 /// Bindings of a shader by number, with kind and places: an open array has one at least, a decoder's picture one for each plane.

@@ -336,6 +336,18 @@ fn reports_and_requests_reach_the_server() {
     assert!(!pair.server.is_alive());
 }
 
+#[test]
+fn of_several_refresh_requests_the_earliest_counts() {
+    let mut pair = Pair::connected();
+    (0..3).for_each(|_| pair.send_delta());
+    for after in [Some(UpdateId(1)), Some(UpdateId(0)), Some(UpdateId(2))] {
+        pair.client.request_refresh(after);
+    }
+    pair.carry(ServerTime(0));
+    let events: Vec<_> = std::iter::from_fn(|| pair.server.poll_event()).collect();
+    assert_eq!(events, [ServerEvent::RefreshRequest { after: Some(UpdateId(0)) }]);
+}
+
 #[track_caller]
 fn assert_failed(pair: &mut Pair, words: &str) {
     let events = pair.client_events();
