@@ -11,38 +11,51 @@ use shadecast_client::draw::stages::atlas_draw::{
 use shadecast_client::draw::stages::scatter::VertexMemory;
 use shadecast_client::draw::stages::settle::Store;
 use shadecast_client::motion::skinned::SkinCapacity;
-use shadecast_gpu::{Access, Buffer, Gpu, GpuError, Image, vk};
+use shadecast_gpu::{
+    Access, Bind, BindGroup, Buffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image, Recorder,
+    Sampler, SamplerDesc, vk,
+};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::memory::ResidentPatch;
 use shadecast_protocol::message::MotionMemory;
-use shadecast_shaders::generated::CornerGpu;
+use shadecast_shaders::generated::{BENCH_ATLAS_FRAG, CLIENT_ATLAS_VERT, CornerGpu};
 use std::sync::Arc;
 
 /// Patches across and down, each with a block of 32x32 texels.
 const ACROSS: u16 = 32;
-const WAYS: [(&str, Reconstruction); 2] =
-    [("bilinear", Reconstruction::Bilinear), ("bicubic", Reconstruction::Bicubic)];
+/// Name, reconstruction, and the page of all blocks; 0 is the atlas.
+const WAYS: [(&str, Reconstruction, u8); 4] = [
+    ("bilinear", Reconstruction::Bilinear, 0),
+    ("bicubic", Reconstruction::Bicubic, 0),
+    ("bilinear in the store", Reconstruction::Bilinear, 1),
+    ("bicubic in the store", Reconstruction::Bicubic, 1),
+];
+const WITHOUT_STORE: &str = "bilinear without the choice of a store";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
     let mut arguments = std::env::args().skip(1).map(|argument| argument.parse::<u32>());
     let side = arguments.next().transpose()?.unwrap_or(512);
     let rounds = arguments.next().transpose()?.unwrap_or(41);
     let bench = Bench::new(side)?;
-    let ways = WAYS.map(|(name, reconstruction)| bench.way(name, reconstruction));
-    let [bilinear, bicubic] = ways;
-    let ways = [bilinear?, bicubic?];
+    let ways = WAYS.iter().map(|(_, reconstruction, page)| bench.way(*reconstruction, *page));
+    let ways = ways.collect::<Result<Vec<_>, _>>()?;
+    let plain = bench.plain(&ways[0])?;
     let mut rows = Vec::new();
     for round in 0..=rounds {
-        let ms = [bench.draw(&ways[0])?, bench.draw(&ways[1])?];
+        let mut ms = vec![bench.draw_plain(&plain, &ways[0])?];
+        for way in &ways {
+            ms.push(bench.draw(way)?);
+        }
         // The first round makes the pipelines.
         rows.extend((round > 0).then_some(ms));
     }
     println!("{}: {side}x{side} pixels, two eyes, four samples, {rounds} rounds", bench.gpu.device_name());
-    for (index, (name, _)) in WAYS.into_iter().enumerate() {
+    let names = std::iter::once(WITHOUT_STORE).chain(WAYS.map(|(name, ..)| name));
+    for (index, name) in names.enumerate() {
         let ms = device::median(rows.iter().map(|row| row[index]));
         let ratio = device::median(rows.iter().map(|row| row[index] / row[0]));
-        println!("{name}: {ms:.3} ms, {ratio:.2} times bilinear in the same round (medians)");
+        println!("{name}: {ms:.3} ms, {ratio:.2} times the first in the same round (medians)");
     }
     Ok(())
 }
@@ -53,14 +66,20 @@ struct Bench {
     targets: EyeTargets,
     memory: VertexMemory,
     eyes: [Buffer; FRAMES_IN_FLIGHT],
+    store: Store,
 }
 
 struct Way {
-    name: &'static str,
     stage: AtlasDraw,
     bundle: BundleMemory,
     set: BundleSet,
     drawn: Drawable,
+}
+
+struct Plain {
+    pipeline: GraphicsPipeline,
+    group: BindGroup,
+    _sampler: Sampler,
 }
 
 impl Bench {
@@ -74,18 +93,18 @@ impl Bench {
         let positions = Buffer::upload(&gpu, "positions", &positions())?;
         recorder.copy_buffer(&positions, 0, &memory.positions, 0, positions.size());
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
+        let store = Store::new(&gpu, &mut recorder, 1)?;
         gpu.wait(recorder.submit()?)?;
         let eyes = device::eyes_in_clip_space(&gpu)?;
-        Ok(Self { gpu, _image: image, targets, memory, eyes })
+        Ok(Self { gpu, _image: image, targets, memory, eyes, store })
     }
 
-    fn way(&self, name: &'static str, reconstruction: Reconstruction) -> Result<Way, GpuError> {
+    fn way(&self, reconstruction: Reconstruction, page: u8) -> Result<Way, GpuError> {
         let stage =
             AtlasDraw::new(&self.gpu, &self.targets.pass, Lookup { reconstruction, ..Lookup::default() })?;
         let mut recorder = self.gpu.record()?;
         let patches = u32::from(ACROSS) * u32::from(ACROSS);
-        let store = Store::new(&self.gpu, &mut recorder, 0)?;
-        let shared = Shared { memory: &self.memory, store: &store, eyes: self.eyes.each_ref() };
+        let shared = Shared { memory: &self.memory, store: &self.store, eyes: self.eyes.each_ref() };
         let extent = AtlasExtent::DEFAULT;
         let mut bundle = stage.bundle_memory(&self.gpu, 0, patches, extent, false)?;
         let set = stage.bundle_set(&self.gpu, &mut recorder, &bundle, extent, shared)?;
@@ -93,17 +112,54 @@ impl Bench {
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(bundle.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(bundle.indices.bytes_mut());
         let mut writer = ListWriter::new(corners, indices);
-        (0..ACROSS * ACROSS).for_each(|number| writer.write(&patch(number)));
+        (0..ACROSS * ACROSS).for_each(|number| writer.write(&patch(number, page)));
         let drawn = Drawable { opaque: writer.index_count(), ..Drawable::default() };
-        Ok(Way { name, stage, bundle, set, drawn })
+        Ok(Way { stage, bundle, set, drawn })
+    }
+
+    /// The pipeline without a store, for the patches of a way.
+    fn plain(&self, way: &Way) -> Result<Plain, GpuError> {
+        let desc = GraphicsPipelineDesc {
+            cull: vk::CullModeFlags::BACK,
+            depth_write: Some(true),
+            ..GraphicsPipelineDesc::new(&CLIENT_ATLAS_VERT, &BENCH_ATLAS_FRAG, &self.targets.pass)
+        };
+        let pipeline = GraphicsPipeline::new(&self.gpu, &desc)?;
+        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
+        let sampler =
+            SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
+        let sampler = Sampler::new(&self.gpu, sampler)?;
+        let mut binds = vec![
+            ("Corners", Bind::Buffer(&way.bundle.corners)),
+            ("Positions", Bind::Buffer(&self.memory.positions)),
+            ("Eyes", Bind::Buffer(&self.eyes[0])),
+        ];
+        let planes = way.set.planes.images.iter().map(|plane| Bind::Sampled(plane, &sampler));
+        binds.extend(["luma_plane", "cb_plane", "cr_plane"].into_iter().zip(planes));
+        binds.push(("store", Bind::Sampled(&self.store.image, &sampler)));
+        let group = BindGroup::of(pipeline.layout(), &binds)?;
+        Ok(Plain { pipeline, group, _sampler: sampler })
     }
 
     /// Milliseconds of the device.
     fn draw(&self, way: &Way) -> Result<f64, GpuError> {
+        self.time(|r| way.stage.record(r, &way.set, &way.bundle, 0, way.drawn))
+    }
+
+    /// The same without a store.
+    fn draw_plain(&self, plain: &Plain, way: &Way) -> Result<f64, GpuError> {
+        self.time(|r| {
+            r.bind(&plain.pipeline, &plain.group);
+            r.bind_indices(&way.bundle.indices, 0);
+            r.draw_indexed(0, way.drawn.opaque);
+        })
+    }
+
+    fn time(&self, draw: impl FnOnce(&mut Recorder)) -> Result<f64, GpuError> {
         let mut recorder = self.gpu.record()?;
-        recorder.scope(way.name, |r| {
+        recorder.scope("draw", |r| {
             self.targets.begin(r, 0);
-            way.stage.record(r, &way.set, &way.bundle, 0, way.drawn);
+            draw(r);
             r.end_pass();
         });
         let timings = self.gpu.wait_timed(recorder.submit()?)?;
@@ -122,9 +178,9 @@ fn positions() -> Vec<[f32; 4]> {
     (0..ACROSS * ACROSS).flat_map(of_patch).collect()
 }
 
-fn patch(number: u16) -> ResidentPatch {
+fn patch(number: u16, page: u8) -> ResidentPatch {
     let first = u32::from(number) * 4;
-    let address = BlockAddress { page: 0, x: number % ACROSS * 32, y: number / ACROSS * 32 };
+    let address = BlockAddress { page, x: number % ACROSS * 32, y: number / ACROSS * 32 };
     ResidentPatch {
         instance: InstanceId(0),
         kind: PatchKind::Two,

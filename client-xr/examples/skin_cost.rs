@@ -70,7 +70,7 @@ struct Bench {
     skin: (ComputePipeline, BindGroup),
     pulls: (GraphicsPipeline, BindGroup),
     skins: (GraphicsPipeline, BindGroup),
-    _kept: (Vec<Buffer>, Planes, Sampler),
+    _kept: (Vec<Buffer>, Planes, Store, Sampler),
 }
 
 impl Bench {

@@ -292,3 +292,24 @@ fn seen_of_thread(toy: Toy) -> Vec<(u32, u8)> {
     seen.truncate(3);
     seen
 }
+
+#[test]
+fn blocks_that_cannot_settle_are_told_with_the_update_before_them() {
+    let mut bench = Bench::new(0);
+    (0..5).for_each(|frame| bench.add(frame, if frame == 0 { 1 } else { 2 }, 0));
+    bench.advance(1);
+    bench.decoding.note_unsettled(UpdateId(3));
+    bench.decoding.note_unsettled(UpdateId(2));
+    let request = |bench: &mut Bench, at_ms: i64| bench.decoding.refresh_request(ClientTime(at_ms * MS));
+    assert_eq!(request(&mut bench, 1), Some(Some(UpdateId(1))));
+    bench.decoding.note_unsettled(UpdateId(4));
+    assert_eq!(request(&mut bench, 2), None, "the server forgets all that it had sent");
+    bench.add(5, 2, 3);
+    bench.decoding.note_unsettled(UpdateId(5));
+    assert_eq!(request(&mut bench, 3), Some(Some(UpdateId(4))), "it had sent this one perhaps later");
+    bench.add(9, 1, 4);
+    bench.decoding.note_unsettled(UpdateId(8));
+    assert_eq!(request(&mut bench, 4), None, "the answer came after it");
+    bench.decoding.note_unsettled(UpdateId(0));
+    assert_eq!(request(&mut bench, 5), Some(None));
+}

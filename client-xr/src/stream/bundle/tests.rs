@@ -696,3 +696,73 @@ fn a_picture_that_is_there_before_its_vertices_waits_for_them() {
     assert_eq!([take(&mut bundler, 0), take(&mut bundler, 0)], [None, None]);
     assert_eq!(take(&mut bundler, 1), Some((UpdateId(1), 8)));
 }
+
+/// The triangle's block settles with an update, at the same place in page 1.
+fn settling(frame: u32) -> GeometryDelta {
+    let address = BlockAddress { page: 1, x: 8, y: 4 };
+    let to = Block { address, size: BlockSize::new(3, 2).expect("a size") };
+    let settled = vec![Settled { slot: PatchSlot(0), to }];
+    GeometryDelta { settled, ..delta(frame).geometry }
+}
+
+/// Takes what is complete, and gives the updates taken and dropped, with the number of blocks that settle.
+fn take_all(bundler: &mut Bundler<u32>) -> (Vec<(u32, usize)>, Vec<u32>) {
+    let (mut taken, mut dropped) = (Vec::new(), Vec::new());
+    while let Some((update, _)) = bundler.take_newest_complete(UpdateId(100), |picture| dropped.push(picture))
+    {
+        taken.push((update.0, bundler.settled().len()));
+    }
+    (taken, dropped)
+}
+
+#[test]
+fn no_picture_with_settled_blocks_is_passed_over() {
+    let mut bundler = Bundler::new(PATCH_SLOTS, AtlasExtent::DEFAULT);
+    bundler.add_delta(triangle(0, 0..=4).geometry);
+    [delta(1).geometry, settling(2), delta(3).geometry]
+        .into_iter()
+        .for_each(|delta| bundler.add_delta(delta));
+    (1..4).for_each(|update| assert_eq!(bundler.add_picture(UpdateId(update), update), None));
+    assert!(bundler.has_complete(UpdateId(1)) && !bundler.has_complete(UpdateId(0)));
+    assert_eq!(take_all(&mut bundler), (vec![(2, 1), (3, 0)], vec![1]));
+    assert_eq!(bundler.take_unsettled(), None);
+}
+
+#[test]
+fn blocks_settle_from_where_their_own_update_has_them() {
+    let mut bundler = Bundler::new(PATCH_SLOTS, AtlasExtent::DEFAULT);
+    bundler.add_delta(triangle(0, 0..=4).geometry);
+    let stored = settling(1).settled[0].to;
+    let there = Block { address: BlockAddress { page: 0, x: 40, y: 80 }, ..stored };
+    let placements = vec![(PatchSlot(0), Some(there))];
+    bundler.add_delta(GeometryDelta { placements, ..settling(1) });
+    bundler.add_delta(GeometryDelta { placements: vec![(PatchSlot(0), Some(stored))], ..delta(2).geometry });
+    (1..3).for_each(|update| assert_eq!(bundler.add_picture(UpdateId(update), update), None));
+    bundler.take_newest_complete(UpdateId(2), |_| {});
+    assert_eq!(bundler.settled(), [(there, stored)]);
+}
+
+#[test]
+fn the_first_update_whose_blocks_cannot_settle_is_told_once() {
+    let mut bundler = Bundler::new(PATCH_SLOTS, AtlasExtent::DEFAULT);
+    bundler.add_delta(triangle(0, 0..=4).geometry);
+    [settling(1), settling(2), settling(3)].into_iter().for_each(|delta| bundler.add_delta(delta));
+    bundler.add_picture(UpdateId(3), 3);
+    assert_eq!(bundler.take_unsettled(), None, "their pictures may come");
+    assert_eq!(take_all(&mut bundler).0, [(3, 1)]);
+    assert_eq!(bundler.take_unsettled(), Some(UpdateId(1)));
+    assert_eq!(bundler.take_unsettled(), None);
+}
+
+#[test]
+fn pictures_without_settled_blocks_go_first() {
+    let mut bundler = Bundler::new(PATCH_SLOTS, AtlasExtent::DEFAULT);
+    bundler.add_delta(triangle(0, 0..=4).geometry);
+    [settling(1), delta(2).geometry, settling(3), settling(4), settling(5)]
+        .into_iter()
+        .for_each(|delta| bundler.add_delta(delta));
+    let dropped: Vec<_> = (1..6).filter_map(|update| bundler.add_picture(UpdateId(update), update)).collect();
+    assert_eq!(dropped, [2, 1], "all others settle something: the oldest is lost");
+    assert_eq!(take_all(&mut bundler).0, [(3, 1), (4, 1), (5, 1)]);
+    assert_eq!(bundler.take_unsettled(), Some(UpdateId(1)));
+}
