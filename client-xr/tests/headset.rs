@@ -923,15 +923,21 @@ fn every_block_of_a_burst_of_updates_settles() {
         for _ in 0..20 {
             line.frame(&mut client);
         }
-        let last = burst + 1;
-        line.send(settling(last, &[], &[(0, stored(1, 64 * burst as u16))]), &planes([128, 64]), false);
-        line.frame(&mut client);
-        assert_eq!(line.frame(&mut client).update, Some(UpdateId(last)));
-        let shown = client.presenter.stats().frames - 1;
-        assert!(!line.events.iter().any(|event| matches!(event, ServerEvent::RefreshRequest { .. })));
+        let mut shown = Vec::new();
+        for update in 1..=burst {
+            let placed = [(0, stored(1, 64 * update as u16))];
+            line.send(settling(burst + update, &[], &placed), &planes([128, 64]), false);
+            line.frame(&mut client);
+            assert_eq!(line.frame(&mut client).update, Some(UpdateId(burst + update)));
+            shown.push((update, client.presenter.stats().frames - 1));
+        }
+        assert_eq!(refreshes_asked(&line), []);
         finish(&run, client);
         let [x, y] = pixel([-0.25, 1.6, -2.0], -1.0).map(|p| p as u32);
-        assert_close(run.picture(shown, Side::Left).at(x, y), RED.0, &format!("after {burst} updates"));
+        for (update, frame) in shown {
+            let what = format!("the block of update {update} of {burst}");
+            assert_close(run.picture(frame, Side::Left).at(x, y), RED.0, &what);
+        }
     }
 }
 

@@ -379,4 +379,4 @@ fn a_multi_plane_image_has_the_colours_of_its_planes() {
     assert_eq!(bench.gpu.validation_messages(), 0, "{:?}", bench.gpu.validation_texts());
 }
 
-mod stored;
+mod stored_tests;
