@@ -6,10 +6,11 @@
 
 layout(binding = 12) uniform sampler2DArray store;
 
-// The level at which a texel is as large as a pixel. footprint: how far a pixel to the right and one down lie, texels.
+// The level at which a texel is half as large as a pixel. Blocks have up to two texels for a pixel, which are filtered for a pixel
+// already: a coarser level would blur them. footprint: how far a pixel to the right and one down lie, texels.
 float store_level(vec4 footprint, float highest) {
     float longest = max(dot(footprint.xy, footprint.xy), dot(footprint.zw, footprint.zw));
-    return min(0.5 * log2(max(longest, 1.0)), highest);
+    return min(0.5 * log2(max(0.25 * longest, 1.0)), highest);
 }
 
 // The nearest place from which a lookup in a level has no texel of another block.

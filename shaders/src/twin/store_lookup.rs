@@ -7,10 +7,10 @@ use shadecast_protocol::limits::BLOCK_INSET_TEXELS;
 /// One channel of a page: its mip levels, the finest first.
 pub struct Levels(pub Vec<Plane>);
 
-/// The level at which a texel is as large as a pixel, by how far the next pixels across and down lie, texels.
+/// The level at which a texel is half as large as a pixel, by how far the next pixels across and down lie, texels.
 pub fn level(across: Vec2, down: Vec2, highest: f32) -> f32 {
     let longest = across.length_squared().max(down.length_squared());
-    (0.5 * longest.max(1.0).log2()).min(highest)
+    (0.5 * (0.25 * longest).max(1.0).log2()).min(highest)
 }
 
 /// The nearest place from which a lookup in a level has no texel of another block.
@@ -95,9 +95,9 @@ mod tests {
 
     #[test]
     fn the_level_is_that_of_the_longer_side_of_a_pixel() {
-        assert_eq!(level(Vec2::new(0.2, 0.1), Vec2::new(0.0, 0.9), 4.0), 0.0);
-        assert_eq!(level(Vec2::new(0.5, 0.0), Vec2::new(0.0, 4.0), 4.0), 2.0);
-        assert_eq!(level(Vec2::new(64.0, 0.0), Vec2::new(0.0, 1.0), 3.0), 3.0);
+        assert_eq!(level(Vec2::new(0.2, 0.1), Vec2::new(0.0, 2.0), 4.0), 0.0);
+        assert_eq!(level(Vec2::new(0.5, 0.0), Vec2::new(0.0, 8.0), 4.0), 2.0);
+        assert_eq!(level(Vec2::new(128.0, 0.0), Vec2::new(0.0, 1.0), 3.0), 3.0);
     }
 
     #[test]
