@@ -34,8 +34,8 @@ pub struct ClientOptions {
     pub store_pages: u32,
 }
 
-/// Pages of the store, unless another number is asked for: 134 MB.
-pub const DEFAULT_STORE_PAGES: u32 = 6;
+/// Pages of the store, unless another number is asked for: none, until it is shown to save bits.
+pub const DEFAULT_STORE_PAGES: u32 = 0;
 
 impl Default for ClientOptions {
     fn default() -> Self {

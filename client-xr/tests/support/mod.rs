@@ -4,7 +4,6 @@ use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
 use shadecast_client::decode::decoding::DecodeTiming;
 use shadecast_client::decode::{self, DecodeError, Decoder};
 use shadecast_client::display::xr::{Xr, XrOptions};
-use shadecast_client::options::DEFAULT_STORE_PAGES;
 use shadecast_client::platform::{MakeDecoder, Platform};
 use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
@@ -22,6 +21,8 @@ pub mod on_device;
 
 /// Pixels of one eye, both ways; 90 degrees.
 pub const SIDE: u32 = 256;
+/// Pages of settled blocks that clients of tests offer.
+const STORE_PAGES: u32 = 6;
 
 /// A run of the runtime in virtual time, captured.
 pub struct Run(shadecast_test_support::headset::Run);
@@ -69,7 +70,7 @@ impl Run {
     }
 
     fn client_of(&self, options: XrOptions, decoder: MakeDecoder) -> Client {
-        self.client_keeping(options, decoder, DEFAULT_STORE_PAGES)
+        self.client_keeping(options, decoder, STORE_PAGES)
     }
 
     fn client_keeping(&self, options: XrOptions, decoder: MakeDecoder, store_pages: u32) -> Client {

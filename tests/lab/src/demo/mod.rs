@@ -321,6 +321,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         mean_level: mean(&viewer["levels"]),
         texels_per_pixel: number(&viewer, "texels_per_pixel"),
         reused_share: number(&viewer, "reused_share"),
+        stored_blocks: 0,
         server_fps: number(&server, "server_fps"),
         client_fps: number(&client, "client_fps"),
         mbit_per_s: MbitPerS {

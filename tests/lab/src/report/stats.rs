@@ -54,6 +54,8 @@ pub struct Counted {
     pub texels_per_pixel: f64,
     /// Part of the blocks' texels that updates did not shade again.
     pub reused_share: f64,
+    /// Blocks in the client's store at the end.
+    pub stored_blocks: u32,
     /// Differences of the client's estimate of the server's clock from the truth, milliseconds, one for each display
     /// frame; empty where there is nothing to estimate.
     pub clock_errors_ms: Vec<f64>,
@@ -130,6 +132,9 @@ pub struct Stats {
     /// Part of the texels in blocks that updates did not shade again, 0 to 1.
     #[serde(default)]
     pub reused_share: f64,
+    /// Blocks in the client's store at the end.
+    #[serde(default)]
+    pub stored_blocks: u32,
     /// Largest difference of the client's estimate of the server's clock from the truth at a display frame; null where both
     /// have one clock, and in real time, where nobody knows.
     #[serde(default)]
@@ -251,6 +256,7 @@ impl Summary {
             mean_level: counted.mean_level,
             texels_per_pixel: counted.texels_per_pixel,
             reused_share: counted.reused_share,
+            stored_blocks: counted.stored_blocks,
             clock_error_ms,
             clock_error_p99_ms,
             clock_error_bound_ms: counted.clock_error_bound_ms,
@@ -331,6 +337,9 @@ impl fmt::Display for Stats {
         )?;
         let percent = 100.0 * self.reused_share;
         line(f, "reused", format_args!("{percent:.1} % of the texels in blocks were not shaded again"))?;
+        if self.stored_blocks > 0 {
+            line(f, "store", format_args!("{} blocks", self.stored_blocks))?;
+        }
         line(f, "dropped patches", format_args!("{}", self.dropped_patches))?;
         line(f, "validation", format_args!("{}", messages_in_words(self.validation_messages)))?;
         let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();

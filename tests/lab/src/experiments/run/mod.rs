@@ -288,6 +288,7 @@ impl Run<'_> {
             dropped_patches: seat.dropped_patches(),
             triangles: (sent.triangles - before.triangles) as f64 / updates,
             texels_per_pixel: (sent.texels_per_pixel_sum - before.texels_per_pixel_sum) / updates,
+            stored_blocks: seat.shows.last().map_or(0, |shows| shows.stored_blocks),
             reused_share: 1.0
                 - (sent.texels[1] - before.texels[1]) as f64
                     / (sent.texels[0] - before.texels[0]).max(1) as f64,
