@@ -14,6 +14,8 @@ use std::collections::{BTreeMap, VecDeque};
 
 /// Updates since a block was shaded before it settles: it has been coded more than once, and a shadow that passes is gone.
 const SETTLES_AFTER_UPDATES: u32 = 6;
+/// The wait doubles each time that a copy turns out stale, so often at most: what keeps changing is cheaper in the atlas.
+const MOST_DOUBLED: u8 = 6;
 /// Updates whose quantisers are remembered.
 const REMEMBERED_UPDATES: usize = 64;
 /// A copy is made anew where pictures are finer than when it was made, by so many steps of the quantiser: its error is halved.
@@ -36,6 +38,8 @@ pub(crate) struct Store {
     leaving: VecDeque<(UpdateId, Block)>,
     /// By patch: the update with which it was shaded last, and one; 0: never.
     shaded: Vec<u32>,
+    /// By patch: how often its copy was stale.
+    stale: Vec<u8>,
     /// Quantisers of the newest pictures, the last one first.
     qps: VecDeque<(UpdateId, u8)>,
     displayed: Option<UpdateId>,
@@ -64,6 +68,7 @@ impl Store {
         Self {
             pages: vec![Atlas::new(page); pages as usize],
             shaded: vec![0; if pages > 0 { patches } else { 0 }],
+            stale: vec![0; if pages > 0 { patches } else { 0 }],
             atlas_texels: u64::from(atlas.width()) * u64::from(atlas.height()),
             ..Self::default()
         }
@@ -74,8 +79,8 @@ impl Store {
         self.renewable_texels = self.atlas_texels / MOST_RENEWED_PART;
     }
 
-    /// The copy that a patch is shown from with this update, where there is one. `wanted` says what its block would be, given the size of
-    /// the copy. One that is too coarse, or coded coarsely for today, is given up, a few with each update.
+    /// The copy that a patch in view is shown from with this update, where there is one. `wanted` says what its block would be, given the
+    /// size of the copy. One that is too coarse, or coded coarsely for today, is given up, a few with each update.
     pub(crate) fn serve(
         &mut self,
         patch: ScenePatch,
@@ -83,20 +88,22 @@ impl Store {
         wanted: impl Fn(BlockSize) -> BlockSize,
     ) -> Option<Block> {
         let newest_qp = self.qps.front().map(|(_, qp)| *qp);
-        let copy = self.copies.get_mut(&patch)?;
-        if copy.settled >= update {
-            return None;
-        }
-        let wanted = wanted(copy.block.size);
-        let size = copy.block.size;
+        let copy = self.copies.get(&patch)?;
+        let (size, wanted) = (copy.block.size, wanted(copy.block.size));
         let outgrown = wanted.width_log2 > size.width_log2 || wanted.height_log2 > size.height_log2;
         let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + FINER_STEPS);
         let texels = u64::from(wanted.texels());
-        if (outgrown || is_coarse) && texels <= self.renewable_texels {
+        if copy.settled < update && (outgrown || is_coarse) && texels <= self.renewable_texels {
             self.renewable_texels -= texels;
             self.give_up(patch);
             return None;
         }
+        self.show(patch, update)
+    }
+
+    /// The same of one that is not in view, as it is.
+    pub(crate) fn show(&mut self, patch: ScenePatch, update: UpdateId) -> Option<Block> {
+        let copy = self.copies.get_mut(&patch).filter(|copy| copy.settled < update)?;
         copy.shown = update;
         Some(copy.block)
     }
@@ -129,7 +136,15 @@ impl Store {
     }
 
     /// A copy is not what its patch looks like any more.
-    pub(crate) fn give_up(&mut self, patch: ScenePatch) {
+    pub(crate) fn stale(&mut self, patch: ScenePatch) {
+        if let Some(times) = self.stale.get_mut(patch.index()) {
+            *times = (*times + 1).min(MOST_DOUBLED);
+        }
+        self.give_up(patch);
+    }
+
+    /// A copy is not shown any more.
+    fn give_up(&mut self, patch: ScenePatch) {
         if let Some(Copy { block, shown, settled, .. }) = self.copies.remove(&patch) {
             self.leaving.push_back((shown.max(settled), block));
         }
@@ -177,7 +192,8 @@ impl Store {
         for (patch, block) in live {
             let texels = u64::from(block.size.texels());
             let shaded = self.shaded[patch.index()];
-            if texels > left_texels || shaded == 0 || update.0 < shaded - 1 + SETTLES_AFTER_UPDATES {
+            let after = SETTLES_AFTER_UPDATES << self.stale[patch.index()];
+            if texels > left_texels || shaded == 0 || update.0 < shaded - 1 + after {
                 continue;
             }
             if self.copies.contains_key(&patch) {

@@ -312,7 +312,7 @@ impl PlacementStep {
     pub(crate) fn shaded(&mut self, update: UpdateId, reuse: &Reuse<Stance>) {
         let store = self.layout.store_mut();
         reuse.shaded().iter().for_each(|due| store.shaded(due.patch, update));
-        reuse.stale().for_each(|patch| store.give_up(patch));
+        reuse.stale().for_each(|patch| store.stale(patch));
     }
 
     /// An update's picture is coded with this quantiser.

@@ -6,7 +6,7 @@ use crate::atlas::sizing::wanted_size;
 use crate::atlas::store::Store;
 use crate::scene::numbering::ScenePatch;
 use crate::support::merged::merged;
-use shadecast_protocol::atlas::{Block, BlockSize};
+use shadecast_protocol::atlas::Block;
 use shadecast_protocol::ids::UpdateId;
 
 impl Layout {
@@ -25,8 +25,7 @@ impl Layout {
             served_from.is_none()
         });
         around.retain(|(patch, _)| {
-            // However coarse it is: it is there in case.
-            let served_from = store.serve(*patch, update, |_| BlockSize { width_log2: 0, height_log2: 0 });
+            let served_from = store.show(*patch, update);
             let placed = |block| Placed { patch: *patch, block, is_around: true, is_hidden: false };
             served.extend(served_from.map(placed));
             served_from.is_none()

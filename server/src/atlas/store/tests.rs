@@ -110,6 +110,19 @@ fn a_copy_too_coarse_or_coded_coarsely_is_made_anew_a_few_with_each_update() {
 }
 
 #[test]
+fn what_keeps_changing_settles_ever_later() {
+    let mut store = store(1);
+    let mut update = 0;
+    for wait in [6, 12, 24] {
+        shade(&mut store, 0..1, update);
+        assert!(settled(&mut store, update + wait - 1, 0..1, 4).is_empty());
+        assert_eq!(settled(&mut store, update + wait, 0..1, 4).len(), 1);
+        store.stale(ScenePatch(0));
+        update += wait + 1;
+    }
+}
+
+#[test]
 fn a_store_of_no_pages_does_nothing() {
     let mut store = store(0);
     shade(&mut store, 0..5, 0);
