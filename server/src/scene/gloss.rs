@@ -15,9 +15,9 @@ const STEPS_BY_RADIANCE: f32 = 470.0;
 const HIGHLIGHT_SLOPE: f32 = 0.041;
 /// The same of the mirrored sky over the squared roughness, for a sky of radiance 1 above and none below: twice the angle.
 const SKY_SLOPE: f32 = 0.5;
-/// Steps by which a texture's colour changes as a pixel covers twice as much of it: an eighth of what two neighbouring levels of busy
+/// Steps by which a texture's colour changes as a pixel covers twice as much of it: a quarter of what two neighbouring levels of busy
 /// textures differ by at most. A block that is filtered anew costs bits, and blurs others.
-const TEXTURE_STEPS_BY_OCTAVE: f32 = 3.0;
+const TEXTURE_STEPS_BY_OCTAVE: f32 = 6.0;
 /// What is seen more edge on than this cosine is filtered as if it were not.
 const GRAZING_COSINE: f32 = 0.03;
 /// The part of a texture's texels that may be glossier than what is counted with.
