@@ -42,7 +42,6 @@ pub(crate) struct Store {
     stale: Vec<u8>,
     /// Quantisers of the newest pictures, the last one first.
     qps: VecDeque<(UpdateId, u8)>,
-    displayed: Option<UpdateId>,
     /// Texels that may still be renewed with this update.
     renewable_texels: u64,
     atlas_texels: u64,
@@ -166,7 +165,6 @@ impl Store {
 
     /// The client shows no update before this one any more.
     pub(crate) fn displayed(&mut self, update: UpdateId) {
-        self.displayed = Some(self.displayed.map_or(update, |known| known.max(update)));
         let Self { pages, leaving, .. } = self;
         leaving.retain(|(last, block)| {
             let is_free = *last < update;

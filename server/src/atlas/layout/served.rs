@@ -2,7 +2,7 @@
 
 use super::Layout;
 use crate::atlas::placement::{Placed, PlacementChange};
-use crate::atlas::sizing::wanted_size;
+use crate::atlas::sizing::{Shape, wanted_size};
 use crate::atlas::store::Store;
 use crate::scene::numbering::ScenePatch;
 use crate::support::merged::merged;
@@ -18,7 +18,8 @@ impl Layout {
         served.clear();
         live.retain(|patch| {
             let state = states[patch.index()];
-            let extent = state.extent.map(|side| f32::from(side) * density / state.extent_density);
+            let shape = Shape { extent: state.extent, extent_density: state.extent_density, block: None };
+            let extent = shape.extent_at(density);
             let served_from = store.serve(*patch, update, |size| wanted_size(extent, Some(size)));
             let placed = |block| Placed { patch: *patch, block, is_around: false, is_hidden: false };
             served.extend(served_from.map(placed));
