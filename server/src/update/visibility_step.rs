@@ -19,7 +19,7 @@ use crate::update::views::{ViewsBuffer, first_views};
 use crate::visibility::culling::{Culling, Needed, Sight};
 use crate::visibility::detail::{Detail, ErrorFactors, LodCost};
 use crate::visibility::lod_set::{LodInstance, LodSet};
-use crate::visibility::nearness::pixels_per_metre;
+use crate::visibility::nearness::{Nearness, nearness};
 use crate::visibility::passes::extents::{Extents, ExtentsMemory};
 use crate::visibility::passes::id_buffer::{IdBuffer, IdBufferMemory, Pass, TriangleNumbers};
 use crate::visibility::passes::mark::Mark;
@@ -80,8 +80,8 @@ struct Around {
 /// Lists of one update, in whose memory the next makes its own.
 #[derive(Default)]
 struct Lists {
-    /// Pixels per metre of each instance.
-    pixels_per_metre: Vec<f32>,
+    /// How near each instance is.
+    nearness: Vec<Nearness>,
     /// The LODs of the update.
     lods: LodSet,
     /// The LODs that are drawn for it.
@@ -254,8 +254,8 @@ impl VisibilityStep {
         let views = &start.views;
         self.culling.needs(views.eyes.iter().flatten().copied());
         let glance = self.glance_around(views);
-        let near: &mut Vec<f32> = &mut self.lists.pixels_per_metre;
-        pixels_per_metre(world.scene(), world.grid(), views, self.eye.pixels_per_radian(), near);
+        let near: &mut Vec<Nearness> = &mut self.lists.nearness;
+        nearness(world.scene(), world.grid(), views, self.eye.pixels_per_radian(), near);
         self.detail.begin((start.room, start.geometry_bytes), &self.needs, near, start.error);
         let mut recorder = world.gpu().record()?;
         let began = world.effort().begin();

@@ -7,12 +7,13 @@
 //! visibility pass: until then it is taken to be that of the shown LOD.
 //!
 //! An update brings a bounded number of bytes. Whatever comes into view enters whole: at an LOD that fits these bytes, by the same
-//! error for all. Finer LODs follow, each whole.
+//! error for all. Bytes that are left refine first what is near, in the middle of the view, or moves. Finer LODs follow, each whole.
 
 use crate::pacing::pressure::{Coarseness, Pressure};
 use crate::pacing::room::Room;
 use crate::visibility::culling::Needed;
 use crate::visibility::lod_set::LodChoice;
+use crate::visibility::nearness::Nearness;
 
 /// Pixels of the client's display that an LOD's error may have unless asked otherwise; see `docs/decisions.md`.
 pub const DEFAULT_DETAIL_PIXELS: f32 = 0.5;
@@ -106,6 +107,8 @@ struct State {
     share: f32,
     /// Pixels of a metre of the model, as near as any predicted eye comes.
     pixels_per_metre: f32,
+    /// How much a person looks at it: [`Nearness::attention`].
+    attention: f32,
     /// Bytes have made its LOD coarser: a finer one is wanted with the next update.
     is_hurried: bool,
 }
@@ -176,6 +179,7 @@ impl Detail {
             aim: 0,
             share: UNKNOWN_SHARE,
             pixels_per_metre: 0.0,
+            attention: 0.0,
             is_hurried: false,
         };
         Self {
@@ -191,19 +195,20 @@ impl Detail {
         }
     }
 
-    /// An update begins for a client with this room, which needs some instances and sees a metre of each of their models with so
-    /// many pixels at most. It may bring so many bytes of geometry. LODs may err by `error` times as much as was asked for.
+    /// An update begins for a client with this room, which needs some instances and sees each from so near. It may bring so many bytes of geometry. LODs may err by `error` times as much as was asked for.
     pub(crate) fn begin(
         &mut self,
         (room, bytes): (Room, usize),
         needed: &Needed,
-        pixels_per_metre: &[f32],
+        nearness: &[Nearness],
         error: ErrorFactors,
     ) {
         (self.error, self.bytes) = (error, bytes);
         self.update += 1;
         for (instance, state) in self.states.iter_mut().enumerate() {
-            (state.is_needed, state.pixels_per_metre) = (needed.has(instance), pixels_per_metre[instance]);
+            state.is_needed = needed.has(instance);
+            (state.pixels_per_metre, state.attention) =
+                (nearness[instance].pixels_per_metre, nearness[instance].attention);
             if !state.is_needed {
                 (state.shown, state.share) = (None, UNKNOWN_SHARE);
             }
@@ -225,7 +230,7 @@ impl Detail {
         }
     }
 
-    /// What comes into view takes the finest LODs of one error that an update can bring, and the nearest of it finer ones than that.
+    /// What comes into view takes the finest LODs of one error that an update can bring, and what is most looked at finer ones.
     fn enter_whole(&mut self) {
         let steps = (self.steps()..MOST_STEPS).find(|steps| self.entering_bytes(*steps) <= self.bytes);
         let steps = steps.unwrap_or(MOST_STEPS);
@@ -237,8 +242,8 @@ impl Detail {
         let mut entering: Vec<(&mut State, &Vec<LodCost>)> =
             self.states.iter_mut().zip(&self.costs).collect();
         entering.retain(|(state, _)| state.enters());
-        // What is near is refined first, by what bytes are left.
-        entering.sort_by(|(a, _), (b, _)| b.pixels_per_metre.total_cmp(&a.pixels_per_metre));
+        // What is most looked at is refined first, by what bytes are left.
+        entering.sort_by(|(a, _), (b, _)| b.attention.total_cmp(&a.attention));
         for (state, costs) in entering {
             let fits = state.lod(costs, allowed).max(state.wanted);
             let bytes = |lod: usize| state.bytes(costs[lod]);

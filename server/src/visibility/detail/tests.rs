@@ -1,5 +1,6 @@
 use super::*;
 use crate::pacing::pressure::RECOVER_AFTER_UPDATES;
+use crate::visibility::nearness::Nearness;
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 
 /// Of a display that limits no error.
@@ -19,6 +20,11 @@ fn chain(patches: u32, error_m: f32, lods: u32) -> Vec<LodCost> {
     (0..lods).map(cost).collect()
 }
 
+/// Instances so near, in the middle of the view and still.
+fn at(pixels_per_metre: &[f32]) -> Vec<Nearness> {
+    pixels_per_metre.iter().map(|&pixels| Nearness { pixels_per_metre: pixels, attention: pixels }).collect()
+}
+
 fn shown(detail: &Detail) -> Vec<usize> {
     detail.lods().flatten().map(|lods| lods.next.unwrap_or(lods.shown)).collect()
 }
@@ -29,7 +35,7 @@ fn update(detail: &mut Detail, pixels_per_metre: &[f32], share: f32) -> Vec<usiz
 }
 
 fn update_in(room: Room, detail: &mut Detail, pixels_per_metre: &[f32], share: f32) -> Vec<usize> {
-    detail.begin((room, usize::MAX), &Needed::all(pixels_per_metre.len()), pixels_per_metre, AS_ASKED);
+    detail.begin((room, usize::MAX), &Needed::all(pixels_per_metre.len()), &at(pixels_per_metre), AS_ASKED);
     let lods = shown(detail);
     for (instance, lod) in lods.iter().enumerate() {
         detail.switched(instance);
@@ -86,7 +92,7 @@ fn lods_may_err_by_as_many_times_what_was_asked_for_as_they_are_told() {
         detail.begin(
             (ROOM, usize::MAX),
             &Needed::all(1),
-            &[20.0],
+            &at(&[20.0]),
             ErrorFactors { density: error, measures: 1.0 },
         );
         (shown(&detail), detail.allowed_pixels())
@@ -103,7 +109,7 @@ fn a_small_picture_keeps_its_shapes_however_much_error_is_allowed() {
         detail.begin(
             (ROOM, usize::MAX),
             &Needed::all(1),
-            &[20.0],
+            &at(&[20.0]),
             ErrorFactors { density: error, measures: 1.0 },
         );
         detail.allowed_pixels()
@@ -116,7 +122,7 @@ fn a_small_picture_keeps_its_shapes_however_much_error_is_allowed() {
 fn measures_take_no_lod_of_so_few_patches_that_each_is_large() {
     let lod = |patches: u32, density: f32, measures: f32| {
         let mut detail = Detail::new(0.5, PIXELS_PER_RADIAN, vec![chain(patches, 0.01, 6)]);
-        detail.begin((ROOM, usize::MAX), &Needed::all(1), &[10.0], ErrorFactors { density, measures });
+        detail.begin((ROOM, usize::MAX), &Needed::all(1), &at(&[10.0]), ErrorFactors { density, measures });
         shown(&detail)[0]
     };
     assert_eq!([lod(100_000, 1.0, 1.0), lod(100_000, 1.0, 16.0)], [1, 5], "many patches");
@@ -169,7 +175,7 @@ fn the_error_that_is_allowed_shrinks_again_when_there_is_room() {
     // All but two go.
     let few: Needed = (0..20).map(|instance| instance < 2).collect();
     for _ in 0..2 * RECOVER_AFTER_UPDATES {
-        detail.begin((room, usize::MAX), &few, &[100.0; 20], AS_ASKED);
+        detail.begin((room, usize::MAX), &few, &at(&[100.0; 20]), AS_ASKED);
         for instance in [0, 1] {
             detail.switched(instance);
             let lod = shown(&detail)[instance];
@@ -196,11 +202,11 @@ fn a_lod_is_shown_once_it_was_brought_unless_nothing_of_the_other_is_seen() {
     update(&mut detail, &[1.0; 2], 0.5);
     let coarse = shown(&detail);
     for _ in 0..CHANGE_EVERY_UPDATES {
-        detail.begin((ROOM, usize::MAX), &Needed::all(2), &[1000.0; 2], AS_ASKED);
+        detail.begin((ROOM, usize::MAX), &Needed::all(2), &at(&[1000.0; 2]), AS_ASKED);
         detail.measured(0, 5);
         detail.measured(1, 0);
     }
-    detail.begin((ROOM, usize::MAX), &Needed::all(2), &[1000.0; 2], AS_ASKED);
+    detail.begin((ROOM, usize::MAX), &Needed::all(2), &at(&[1000.0; 2]), AS_ASKED);
     let lods: Vec<_> = detail.lods().flatten().collect();
     assert_eq!(lods[0], LodChoice { shown: coarse[0], next: Some(0) });
     assert_eq!(lods[1], LodChoice { shown: 0, next: None });
@@ -213,7 +219,7 @@ fn update_with_bytes(
     pixels_per_metre: &[f32],
     share: f32,
 ) -> Vec<LodChoice> {
-    detail.begin((ROOM, bytes), &Needed::all(pixels_per_metre.len()), pixels_per_metre, AS_ASKED);
+    detail.begin((ROOM, bytes), &Needed::all(pixels_per_metre.len()), &at(pixels_per_metre), AS_ASKED);
     let lods: Vec<LodChoice> = detail.lods().flatten().collect();
     for (instance, lod) in lods.iter().enumerate() {
         let seen = detail.costs[instance][lod.shown].patches as f32 * share;
@@ -238,6 +244,26 @@ fn what_comes_into_view_enters_whole_within_the_bytes_and_gets_finer() {
     assert!(first.is_sorted_by_key(|lod| lod.shown), "what is near is finer: {first:?}");
     let second = update_with_bytes(&mut detail, usize::MAX, &pixels, UNKNOWN_SHARE);
     assert!(second.iter().all(|lod| lod.next.is_some_and(|next| next < lod.shown)), "{second:?}");
+}
+
+#[test]
+fn what_is_looked_at_is_refined_first_among_what_is_as_near() {
+    for most in 0..4 {
+        let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(4000, 0.002, 7); 4]);
+        let mut nearness = at(&[1000.0; 4]);
+        nearness[most].attention *= 2.0;
+        let least: Vec<usize> = (1..40)
+            .map(|kilobytes| {
+                detail.begin((ROOM, 1000 * kilobytes), &Needed::all(4), &nearness, AS_ASKED);
+                let lods: Vec<usize> = detail.lods().flatten().map(|lod| lod.shown).collect();
+                detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(4000, 0.002, 7); 4]);
+                lods
+            })
+            .inspect(|lods| assert!(lods.iter().all(|lod| lods[most] <= *lod), "{most}: {lods:?}"))
+            .map(|lods| lods.iter().filter(|lod| **lod > lods[most]).count())
+            .collect();
+        assert!(least.contains(&3), "it alone is finer at some of these bytes: {least:?}");
+    }
 }
 
 #[test]
