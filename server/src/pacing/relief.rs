@@ -91,7 +91,8 @@ impl Measure {
 pub struct Measures([bool; Measure::ALL.len()]);
 
 impl Measures {
-    const ALL: Self = Self([true; Measure::ALL.len()]);
+    /// All in force.
+    pub(crate) const ALL: Self = Self([true; Measure::ALL.len()]);
 
     /// Whether any is in force.
     pub fn are_some(self) -> bool {

@@ -50,7 +50,8 @@ impl Default for UpdatePolicy {
 }
 
 impl UpdatePolicy {
-    /// The times of an update's visibility passes: one where head and scene stand still, fewer where a measure says so.
+    /// The times of an update's visibility passes: one where head and scene stand still, fewer where a measure says so. The first
+    /// update looks at all of them, since no other has looked before it.
     pub(super) fn pass_times(
         &self,
         update: UpdateId,
@@ -61,7 +62,7 @@ impl UpdatePolicy {
             return ONLY_THE_FIRST;
         }
         let plan = match self.views {
-            ViewPlan::Every if measures.has(Measure::OneTime) => ViewPlan::OneInTurn,
+            ViewPlan::Every if measures.has(Measure::OneTime) && update.0 > 0 => ViewPlan::OneInTurn,
             plan => plan,
         };
         plan.times(update.0)
@@ -87,5 +88,19 @@ impl UpdatePolicy {
         }
         world.light(recorder, middle, place);
         middle.time(world.grid())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn with_one_view_time_in_turn_the_first_update_still_looks_at_all() {
+        let policy = UpdatePolicy::default();
+        let times = |update: u32| policy.pass_times(UpdateId(update), Measures::ALL, || false);
+        assert_eq!(times(0), [true; VIEW_TIMES]);
+        let looks = |update: u32| times(update).into_iter().filter(|looks| *looks).count();
+        assert!((1..10).all(|update| looks(update) == 1));
     }
 }

@@ -88,6 +88,8 @@ struct Lists {
     drawn: [Vec<LodInstance>; 2],
     /// LODs that are shown at once, for want of room.
     coarser: Vec<LodInstance>,
+    /// LODs with the rings of patches that are added to them.
+    rings: Vec<(LodInstance, u32)>,
 }
 
 /// An update as it starts, and the placement's demands on it.
@@ -188,7 +190,8 @@ struct PassInputs<'a> {
 /// An update that is on display for longer shows surfaces that no predicted view has seen: what moves turns them into view,
 /// nanoseconds.
 const RARE_NS: i64 = 100_000_000;
-/// Meanwhile, rings of patches around those that a view has seen come into view: one for so many nanoseconds, and so many at most.
+/// Meanwhile, rings of patches around those that a view has seen come into view: one for so many nanoseconds, and so many at most. What
+/// stands gets one, of what they uncover.
 const RING_NS: i64 = 60_000_000;
 const MOST_RINGS: i64 = 8;
 
@@ -424,10 +427,9 @@ impl VisibilityStep {
         }
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
         if let Some(times) = rare_times {
-            let moves = |lod: &&LodInstance| lod.is_shown && !world.instance_stands(lod.instance, times);
-            let rings = (span_ns(world, times) / RING_NS).min(MOST_RINGS) as u32;
-            recorder
-                .scope("spread", |r| self.spread.record(r, scene, lods.all().iter().filter(moves), rings));
+            self.lists.rings.clear();
+            self.lists.rings.extend(rings(world, lods, times));
+            recorder.scope("spread", |r| self.spread.record(r, scene, &self.lists.rings));
         }
         recorder.scope("extents", |r| {
             self.extents.record(r, scene, animation, lods, places);
@@ -474,6 +476,17 @@ impl VisibilityStep {
             self.detail.switched(lod.instance);
         }
     }
+}
+
+/// Rings of patches that come into view from the first of these times to the last: of what moves, and one of what it uncovers.
+fn rings<'a>(
+    world: &'a World,
+    lods: &'a LodSet,
+    times: &'a [ViewTime; VIEW_TIMES],
+) -> impl Iterator<Item = (LodInstance, u32)> + 'a {
+    let of_motion = (span_ns(world, times) / RING_NS).min(MOST_RINGS) as u32;
+    let shown = lods.all().iter().filter(|lod| lod.is_shown);
+    shown.map(move |lod| (*lod, if world.instance_stands(lod.instance, times) { 1 } else { of_motion }))
 }
 
 /// From the first of an update's predicted times to the last.

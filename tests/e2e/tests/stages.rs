@@ -133,7 +133,8 @@ fn marks_and_extents(part: [u32; 2], rings: u32) -> usize {
     recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
     mark.record(&mut recorder, part);
     recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
-    spread.record(&mut recorder, &scene, lods.all().iter(), rings);
+    let spread_lods: Vec<_> = lods.all().iter().map(|lod| (*lod, rings)).collect();
+    spread.record(&mut recorder, &scene, &spread_lods);
     extents.record(&mut recorder, &scene, &animation, &lods, [0, 1, 2].map(RingPlace));
     recorder.barrier(Access::COMPUTE_WRITE, Access::HOST_READ);
     let layouts = [

@@ -1,4 +1,4 @@
-//! What moves may turn into view until the next update: rings of patches around those that the predicted views show.
+//! What moves may turn into view, or uncover, until the next update: rings of patches around those that the predicted views show.
 
 use crate::scene::SceneGpu;
 use crate::visibility::lod_set::LodInstance;
@@ -31,18 +31,13 @@ impl Spread {
         Ok(Self { pipeline, group, reached })
     }
 
-    /// Adds so many rings around the visible patches of these LODs. Needs barriers before and after it.
-    pub fn record<'a>(
-        &self,
-        recorder: &mut Recorder,
-        scene: &SceneGpu,
-        lods: impl Iterator<Item = &'a LodInstance> + Clone,
-        rings: u32,
-    ) {
+    /// Adds to each of these LODs so many rings around its visible patches. Needs barriers before and after it.
+    pub fn record(&self, recorder: &mut Recorder, scene: &SceneGpu, rings: &[(LodInstance, u32)]) {
         recorder.fill(&self.reached, 0);
         recorder.barrier(Access::COPY_WRITE, Access::COMPUTE);
-        for to_patches in (0..rings).flat_map(|_| [0, 1]) {
-            for lod in lods.clone() {
+        let most = rings.iter().map(|(_, rings)| *rings).max().unwrap_or(0);
+        for (ring, to_patches) in (0..most).flat_map(|ring| [(ring, 0), (ring, 1)]) {
+            for (lod, _) in rings.iter().filter(|(_, rings)| ring < *rings) {
                 let instance = &scene.numbering.instances[lod.instance];
                 let push = SpreadPush {
                     patch_base: scene.models[instance.model].lods[lod.lod].patch_base,
