@@ -1,6 +1,6 @@
 // What the sky does to a surface: its mean over the cosine, and over the lobe of a rough reflection. The sky has three
 // colours and depends on the height of a direction alone, so that each mean is three weights with the sum 1, and the
-// nadir's is the zenith's for the direction upside down. Twin, and how exact the fits are: twin/ambient.rs.
+// nadir's is the zenith's for the direction upside down. The same in Rust, and how exact the fits are: src/ambient.rs.
 #ifndef AMBIENT_GLSL
 #define AMBIENT_GLSL
 

@@ -2,10 +2,12 @@
 //! stages. This crate does not know Vulkan.
 #![forbid(unsafe_code)]
 
+pub mod ambient;
 pub mod color;
 pub mod constants;
 pub mod curve;
 pub mod font;
+pub mod pbr;
 pub mod records;
 pub mod twin;
 

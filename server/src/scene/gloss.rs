@@ -2,6 +2,7 @@
 //!
 //! Three things depend on the eye: the highlight of a light, the mirrored sky, and what a pixel of the display covers of a texture.
 
+use crate::scene::shine::{Facet, LEAST_ROUGHNESS, Shine, StillLight};
 use glam::Vec3;
 use shadecast_protocol::pose::{NEAR_M, Pose};
 use shadecast_scene::{Material, Texture, TextureSlot};
@@ -30,8 +31,12 @@ pub struct Gloss {
     pub steps_by_radian: f32,
     /// Most steps for a doubling of what a pixel covers.
     pub steps_by_octave: f32,
+    /// The part of lamps in `steps_by_radian`.
+    pub lamp_steps_by_radian: f32,
     /// Light falls on it: shadows and lamps change it.
     pub is_lit: bool,
+    /// How it reflects, where that can be evaluated.
+    pub shine: Option<Shine>,
 }
 
 /// The light that a scene has at most.
@@ -39,6 +44,8 @@ pub struct Gloss {
 pub(crate) struct Brightness {
     /// Of sun and lamps, irradiance of the brightest channel.
     pub direct: f32,
+    /// Of lamps alone.
+    pub lamps: f32,
     /// Of the sky, radiance of the brightest channel.
     pub sky: f32,
 }
@@ -49,28 +56,64 @@ impl Gloss {
         let is_textured = material.texture_slots().iter().any(Option::is_some);
         let steps_by_octave = if is_textured { TEXTURE_STEPS_BY_OCTAVE } else { 0.0 };
         if material.unlit {
-            return Self { steps_by_radian: 0.0, steps_by_octave, is_lit: false };
+            return Self { steps_by_octave, ..Self::default() };
         }
         let rough_metal = material.metallic_roughness_texture;
         let roughness = material.roughness * rough_metal.map_or(1.0, |slot| low_value(textures, slot, 1));
         let metallic =
             material.metallic * rough_metal.map_or(1.0, |slot| 1.0 - low_value_inverted(textures, slot, 2));
+        let reflectance = reflectance(material, metallic);
+        let of_lamps = Brightness { direct: light.lamps, sky: 0.0, ..light };
+        let [r, g, b, _] = material.base_color;
+        let diffuse = r.max(g).max(b).clamp(0.0, 1.0) * (1.0 - metallic.clamp(0.0, 1.0));
         Self {
-            steps_by_radian: slope(roughness, reflectance(material, metallic), light),
+            steps_by_radian: slope(roughness, reflectance, light),
             steps_by_octave,
+            lamp_steps_by_radian: slope(roughness, reflectance, of_lamps),
             is_lit: true,
+            shine: (roughness >= LEAST_ROUGHNESS).then_some(Shine { roughness, reflectance, diffuse }),
         }
     }
 
-    /// Most steps by which a place of a surface looks different from another head, `then` and `now` each with what it knows of it.
-    pub(crate) fn steps(&self, then: &Seen, now: &Seen, moved_m: f32) -> f32 {
-        let radians = moved_m / then.distance_m.min(now.distance_m);
+    /// Most steps by which what a place of a surface mirrors looks different from another head.
+    pub(crate) fn mirrored_steps(&self, then: &Seen, now: &Seen, moved_m: f32) -> f32 {
+        self.steps_by_radian * radians(then, now, moved_m)
+    }
+
+    /// The same between two eyes by what it mirrors in this light; `None` where that cannot be evaluated.
+    pub(crate) fn evaluated_steps(
+        &self,
+        light: &StillLight,
+        facet: &Facet,
+        eyes: [Vec3; 2],
+        radians: f32,
+    ) -> Option<f32> {
+        let change = self.shine?.change(light, facet, eyes)?;
+        Some(STEPS_BY_RADIANCE * change + self.lamp_steps_by_radian * radians)
+    }
+
+    /// Most steps by which its texture looks different from another head.
+    pub(crate) fn filtered_steps(&self, then: &Seen, now: &Seen) -> f32 {
         let octaves = |a: f32, b: f32| (a / b).log2().abs();
         let footprint = octaves(then.distance_m, now.distance_m)
             + 2.0 * octaves(then.axis_cosine, now.axis_cosine)
             + octaves(then.facing_cosine, now.facing_cosine);
-        self.steps_by_radian * radians + self.steps_by_octave * footprint
+        self.steps_by_octave * footprint
     }
+
+    /// The same where the texture was filtered for more than a pixel covers now; for less, a copy in the store has coarser ones.
+    pub(crate) fn blurred_steps(&self, then: &Seen, now: &Seen) -> f32 {
+        let finer = |then: f32, now: f32| (then / now).log2().max(0.0);
+        let footprint = finer(then.distance_m, now.distance_m)
+            + 2.0 * finer(then.axis_cosine, now.axis_cosine)
+            + finer(now.facing_cosine, then.facing_cosine);
+        self.steps_by_octave * footprint
+    }
+}
+
+/// By how much an eye goes around a place at most, radians.
+pub(crate) fn radians(then: &Seen, now: &Seen, moved_m: f32) -> f32 {
+    moved_m / then.distance_m.min(now.distance_m)
 }
 
 /// How a place of a surface is seen.
@@ -142,7 +185,7 @@ mod tests {
     use glam::Quat;
     use shadecast_scene::Wrap;
 
-    const LIGHT: Brightness = Brightness { direct: 3.0, sky: 1.0 };
+    const LIGHT: Brightness = Brightness { direct: 3.0, lamps: 0.0, sky: 1.0 };
 
     fn material(roughness: f32, metallic: f32) -> Material {
         Material { roughness, metallic, ..Material::default() }
@@ -209,14 +252,15 @@ mod tests {
 
     #[test]
     fn steps_grow_with_the_way_aside_the_distance_and_the_angle() {
-        let gloss = Gloss { steps_by_radian: 100.0, steps_by_octave: 10.0, is_lit: true };
+        let gloss = Gloss { steps_by_radian: 100.0, steps_by_octave: 10.0, ..Gloss::default() };
         let at = |x: f32, z: f32, yaw: f32| Pose {
             position: Vec3::new(x, 0.0, z),
             orientation: Quat::from_rotation_y(yaw),
         };
         let steps = |a: Pose, b: Pose| {
             let seen = |head| Seen::from(head, Vec3::ZERO, 0.0, Some(Vec3::Z));
-            gloss.steps(&seen(a), &seen(b), a.position.distance(b.position))
+            let moved_m = a.position.distance(b.position);
+            gloss.mirrored_steps(&seen(a), &seen(b), moved_m) + gloss.filtered_steps(&seen(a), &seen(b))
         };
         let from = at(0.0, 2.0, 0.0);
         assert_eq!(steps(from, from), 0.0);
@@ -224,6 +268,13 @@ mod tests {
         assert!(aside.is_sorted_by(|a, b| a < b) && aside[0] > 0.4, "{aside:?}");
         assert!(steps(from, at(0.0, 4.0, 0.0)) >= 10.0, "half as large");
         assert!(steps(from, at(0.0, 2.0, 0.5)) > 1.0, "a pixel beside the middle covers less");
+        let blurred = |a: Pose, b: Pose| {
+            let seen = |head| Seen::from(head, Vec3::ZERO, 0.0, Some(Vec3::Z));
+            gloss.blurred_steps(&seen(a), &seen(b))
+        };
+        assert!(blurred(from, at(0.0, 1.0, 0.0)) >= 10.0 && blurred(from, at(0.0, 4.0, 0.0)) == 0.0);
+        assert!(blurred(from, at(0.0, 2.0, 0.5)) > 1.0 && blurred(at(0.0, 2.0, 0.5), from) == 0.0);
+        assert!(blurred(at(3.0, 2.0, 0.0), at(0.0, 3.6, 0.0)) > 1.0, "less edge on");
         assert!(steps(from, at(0.0, 0.0, 0.0)).is_finite() && steps(from, at(0.0, -2.0, 0.0)).is_finite());
     }
 }

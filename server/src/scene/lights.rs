@@ -3,12 +3,14 @@
 
 use crate::animation::timeline::Timeline;
 use crate::scene::gloss::Brightness;
+use crate::scene::shine::StillLight;
 use glam::{Affine3A, Mat4, Vec3};
 use shadecast_protocol::limits::MAX_LIGHTS;
 use shadecast_protocol::time::WorldTime;
 use shadecast_scene::animation::bounds::Bounds;
 use shadecast_scene::animation::pose;
-use shadecast_scene::{Light, LightKind, Scene};
+use shadecast_scene::{Environment, Light, LightKind, Scene, Sun};
+use shadecast_shaders::ambient::Sky;
 use shadecast_shaders::generated::{LightGpu, PunctualGpu};
 
 /// Texels of a shadow map's side, unless a measurement wants more.
@@ -80,10 +82,18 @@ pub(crate) fn surplus(scene: &Scene) -> usize {
 pub(crate) fn brightness(scene: &Scene) -> Brightness {
     let hung = scene.models.iter().flat_map(|model| &model.lights).map(|hung| hung.light.intensity);
     let lamps = scene.lights.iter().map(|placed| placed.light.intensity).chain(hung);
-    let direct = lamps.map(Vec3::max_element).fold(scene.sun.irradiance.max_element(), f32::max);
+    let lamps = lamps.map(Vec3::max_element).fold(0.0, f32::max);
+    let direct = scene.sun.irradiance.max_element().max(lamps);
     let environment = scene.environment;
     let sky = environment.zenith.max(environment.horizon).max(environment.nadir).max_element();
-    Brightness { direct, sky }
+    Brightness { direct, lamps, sky }
+}
+
+/// The light that stays.
+pub(crate) fn still(scene: &Scene) -> StillLight {
+    let Environment { zenith, horizon, nadir } = scene.environment;
+    let Sun { to_sun, irradiance, .. } = scene.sun;
+    StillLight { sky: Sky { zenith, horizon, nadir }, to_sun, irradiance }
 }
 
 /// Everything at a time of the scene, which moves as `timeline` says. `sun_view` is `None` where the sun casts no shadows.

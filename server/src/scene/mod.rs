@@ -9,6 +9,7 @@ pub(crate) mod meshes;
 pub mod motion_library;
 pub mod numbering;
 pub(crate) mod rasters;
+pub(crate) mod shine;
 pub mod skins;
 pub mod views;
 
@@ -18,6 +19,7 @@ use crate::scene::gloss::Gloss;
 use crate::scene::lights::SunView;
 use crate::scene::motion_library::MotionLibrary;
 use crate::scene::motion_library::MotionOption;
+use crate::scene::shine::StillLight;
 use crate::scene::skins::{SkinnedMesh, Skinning, SkinningArrays, SkinningBuffers};
 use crate::support::upload;
 use materials::{MaterialArrays, Materials};
@@ -101,6 +103,8 @@ pub struct SceneGpu {
     pub skins: SkinningBuffers,
     /// By model and material, what of it depends on the eye.
     pub gloss: Vec<Vec<Gloss>>,
+    /// The light that stays.
+    pub still_light: StillLight,
     /// Skeletons and clips.
     pub animation: AnimationBuffers,
     /// What clients can be told of its motion.
@@ -150,6 +154,7 @@ impl SceneGpu {
             animation: AnimationBuffers::new(gpu, manager)?,
             shadow_extent_texels: lights::SHADOW_EXTENT_TEXELS << options.shadow_doublings,
             gloss: gloss(&scene),
+            still_light: lights::still(&scene),
             scene,
             models,
             numbering,

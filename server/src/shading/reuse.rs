@@ -7,8 +7,9 @@
 
 use crate::atlas::placement::Placed;
 use crate::atlas::surround::SHADED_EVERY_UPDATES;
-use crate::scene::gloss::{Gloss, Seen};
+use crate::scene::gloss::{Gloss, Seen, radians};
 use crate::scene::numbering::ScenePatch;
+use crate::scene::shine::{Facet, StillLight};
 use crate::shading::shadow_change::{ShadowChange, SunBox};
 use glam::Vec3;
 use shadecast_protocol::atlas::Block;
@@ -89,6 +90,8 @@ pub(crate) trait Surfaces {
     fn receiver(&self, patch: ScenePatch, block: Block) -> Receiver;
     /// How far an eye may go until it sees the other side of a patch that has two, metres.
     fn turns_after_m(&self, patch: ScenePatch, eye: Vec3) -> f32;
+    /// The light that stays.
+    fn still_light(&self) -> &StillLight;
 }
 
 /// A block to be shaded.
@@ -138,6 +141,8 @@ struct Record {
     world_from_head: Pose,
     turns_after_m: f32,
     receiver: Option<Receiver>,
+    /// Where what it mirrors was evaluated for last, and by how many steps it was different.
+    evaluated: Option<(Pose, f32)>,
     /// What is due, and since which update; what is not does not wait.
     waits: Option<(Cause, u32)>,
     /// By how much it looks different, steps of the display.
@@ -276,6 +281,7 @@ impl<S: PartialEq + Default> Reuse<S> {
                 world_from_head,
                 turns_after_m: f32::INFINITY,
                 receiver: None,
+                evaluated: None,
                 waits: Some((Cause::New, self.update)),
                 steps: 0.0,
                 is_around,
@@ -292,7 +298,7 @@ impl<S: PartialEq + Default> Reuse<S> {
     fn judge(&mut self, at: usize, world_from_head: Pose, surfaces: &impl Surfaces) {
         let record = &mut self.records[at];
         if self.moved[record.instance as usize] {
-            record.receiver = None;
+            (record.receiver, record.evaluated) = (None, None);
         }
         let is_new = matches!(record.waits, Some((Cause::New, _)));
         if is_new {
@@ -365,7 +371,7 @@ impl<S: PartialEq + Default> Reuse<S> {
             let Some((cause, _)) = record.waits.take() else { continue };
             record.world_from_head = world_from_head;
             record.turns_after_m = surfaces.turns_after_m(record.patch, world_from_head.position);
-            record.steps = 0.0;
+            (record.steps, record.evaluated) = (0.0, None);
             self.reused.shaded[cause as usize] += 1;
             self.reused.shaded_texels += u64::from(record.block.size.texels());
             self.due.push(Due { patch: record.patch, block: record.block, cause });
@@ -406,11 +412,47 @@ impl Record {
         }
         let (patch, block) = (self.patch, self.block);
         let receiver = self.receiver.get_or_insert_with(|| surfaces.receiver(patch, block));
+        let receiver = *receiver;
         let seen = |head: Pose| Seen::from(head, receiver.centre, receiver.radius_m, receiver.normal);
-        // A copy in the store has coarser ones of its own, and gives way to a finer block.
-        let gloss =
-            if block.is_stored() { Gloss { steps_by_octave: 0.0, ..receiver.gloss } } else { receiver.gloss };
-        gloss.steps(&seen(self.world_from_head), &seen(world_from_head), moved_m)
+        let (then, now) = (seen(self.world_from_head), seen(world_from_head));
+        let filtered = match block.is_stored() {
+            true => receiver.gloss.blurred_steps(&then, &now),
+            false => receiver.gloss.filtered_steps(&then, &now),
+        };
+        if filtered > SEEN_STEPS {
+            return filtered;
+        }
+        filtered + self.mirrored_steps(&receiver, (&then, &now), world_from_head, surfaces.still_light())
+    }
+
+    /// The same of what it mirrors: the bound where it is small, else evaluated, which holds until the bound from there is large.
+    fn mirrored_steps(
+        &mut self,
+        receiver: &Receiver,
+        (then, now): (&Seen, &Seen),
+        world_from_head: Pose,
+        light: &StillLight,
+    ) -> f32 {
+        let gloss = &receiver.gloss;
+        let way_m = |head: Pose| head.position.distance(world_from_head.position);
+        let bound = gloss.mirrored_steps(then, now, way_m(self.world_from_head));
+        if bound <= SEEN_STEPS {
+            return bound;
+        }
+        if let Some((at, steps)) = self.evaluated {
+            let seen_there = Seen::from(at, receiver.centre, receiver.radius_m, receiver.normal);
+            let since = steps + gloss.mirrored_steps(&seen_there, now, way_m(at));
+            if since <= SEEN_STEPS {
+                return since.min(bound);
+            }
+        }
+        let Some(normal) = receiver.normal else { return bound };
+        let facet = Facet { centre: receiver.centre, radius_m: receiver.radius_m, normal };
+        let eyes = [self.world_from_head.position, world_from_head.position];
+        let radians = radians(then, now, way_m(self.world_from_head));
+        let Some(steps) = gloss.evaluated_steps(light, &facet, eyes, radians) else { return bound };
+        self.evaluated = Some((world_from_head, steps));
+        steps.min(bound)
     }
 }
 

@@ -6,6 +6,7 @@ use crate::scene::SceneGpu;
 use crate::scene::geometry::{Geometry, MAX_CORNERS, corners};
 use crate::scene::lights::SunView;
 use crate::scene::numbering::{ScenePatch, SceneVertex};
+use crate::scene::shine::StillLight;
 use crate::shading::passes::shadow::Shadow;
 use crate::shading::reuse::{Lamp, Moment, Receiver, Surfaces};
 use crate::shading::shadow_change::SunBox;
@@ -154,6 +155,10 @@ impl Surfaces for SceneSurfaces<'_> {
         let Some(points) = self.places(number, &of_patch) else { return 0.0 };
         let distance_m = |[a, normal]: [Vec3; 2]| normal.normalize_or_zero().dot(eye - a).abs();
         planes(&points, of_patch.kind).map(distance_m).fold(f32::INFINITY, f32::min)
+    }
+
+    fn still_light(&self) -> &StillLight {
+        &self.scene.still_light
     }
 }
 

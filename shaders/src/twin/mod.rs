@@ -1,6 +1,5 @@
 //! CPU reference twins: the result of each GPU stage in plain Rust, one file per shader stem. They serve tests only; code that
 //! the product needs too is elsewhere in this crate.
-pub mod ambient;
 pub mod atlas_lookup;
 pub mod footprint;
 pub mod interpolate;

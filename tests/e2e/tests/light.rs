@@ -11,7 +11,7 @@ use shadecast_scene::{
 };
 use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::truth::forward::{Forward, Truth};
-use shadecast_shaders::twin::ambient::{Sky, ambient_brdf};
+use shadecast_shaders::ambient::{Sky, ambient_brdf};
 use std::sync::Arc;
 
 const SIDE: u32 = 160;

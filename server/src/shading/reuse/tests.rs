@@ -1,24 +1,35 @@
 use super::*;
 use crate::scene::lights::{SHADOW_EXTENT_TEXELS, SunView};
+use crate::scene::shine::Shine;
 use glam::Quat;
 use rand::{Rng, SeedableRng, rngs::SmallRng};
 use shadecast_protocol::atlas::{BlockAddress, BlockSize};
 use shadecast_scene::animation::bounds::Bounds;
+use shadecast_shaders::ambient::Sky;
 
 /// Ten patches an instance in a row along x, 1 m apart, under a sun in the zenith; the last instance has no light on it.
 struct Row {
     sun: SunView,
     absent: Option<usize>,
+    gloss: Gloss,
 }
 
 const PATCHES: u32 = 10;
 const INSTANCES: usize = 4;
-const GLOSS: Gloss = Gloss { steps_by_radian: 50.0, steps_by_octave: 0.0, is_lit: true };
+const GLOSS: Gloss = Gloss {
+    steps_by_radian: 50.0,
+    steps_by_octave: 0.0,
+    lamp_steps_by_radian: 0.0,
+    is_lit: true,
+    shine: None,
+};
+const DARK: Sky = Sky { zenith: Vec3::ZERO, horizon: Vec3::ZERO, nadir: Vec3::ZERO };
+const NO_LIGHT: StillLight = StillLight { sky: DARK, to_sun: Vec3::Y, irradiance: Vec3::ZERO };
 
 fn row() -> Row {
     let world = Bounds { low: Vec3::new(-1.0, -1.0, -1.0), high: Vec3::new(41.0, 3.0, 1.0) };
     let sun = SunView::around(Vec3::Y, [world].into_iter(), SHADOW_EXTENT_TEXELS).expect("casters");
-    Row { sun, absent: None }
+    Row { sun, absent: None, gloss: GLOSS }
 }
 
 impl Row {
@@ -48,12 +59,16 @@ impl Surfaces for Row {
     fn receiver(&self, patch: ScenePatch, _: Block) -> Receiver {
         let centre = Self::at(patch.0);
         let in_sun = SunBox::around(&self.sun, [centre]).map(|own| own.as_looked_up(&self.sun));
-        let gloss = if self.instance(patch) + 1 < INSTANCES { GLOSS } else { Gloss::default() };
-        Receiver { centre, radius_m: 0.1, normal: None, in_sun, gloss }
+        let gloss = if self.instance(patch) + 1 < INSTANCES { self.gloss } else { Gloss::default() };
+        Receiver { centre, radius_m: 0.1, normal: Some(Vec3::Z), in_sun, gloss }
     }
 
     fn turns_after_m(&self, patch: ScenePatch, _: Vec3) -> f32 {
         if patch.0 == 3 { 0.0 } else { f32::INFINITY }
+    }
+
+    fn still_light(&self) -> &StillLight {
+        &NO_LIGHT
     }
 }
 
@@ -301,5 +316,26 @@ fn a_copy_that_is_not_shown_is_not_stale_for_a_head_that_moves() {
         let moment = row.moment([0; 4]);
         reuse.due(|now| *now = moment, head, placed.into_iter(), &row, u64::MAX);
         assert_eq!(stale(&reuse).is_empty(), is_hidden);
+    }
+}
+
+#[test]
+fn what_a_rough_surface_mirrors_is_evaluated_and_where_nothing_is_to_be_mirrored_nothing_is_due() {
+    // In the dark: by its bound each of them looks different, by what it mirrors none.
+    let shine = Shine { roughness: 0.8, reflectance: 0.04, diffuse: 0.5 };
+    for (shine, due_patches) in [(None, 30), (Some(shine), 0)] {
+        let row = Row { gloss: Gloss { shine, ..GLOSS }, ..row() };
+        let mut reuse = Reuse::new(true);
+        due(&mut reuse, &row, row.moment([0; 4]), &all());
+        let mut head = HEAD;
+        let seen = |head: Pose, reuse: &mut Reuse<u32>| {
+            let due = reuse.due(|now| *now = row.moment([0; 4]), head, all().into_iter(), &row, u64::MAX);
+            due.iter().filter(|due| due.cause == Cause::Seen && due.patch.0 != 3).count()
+        };
+        head.position += Vec3::new(0.0, 0.0, 60.0); // all are seen from the front
+        seen(head, &mut reuse);
+        head.position += Vec3::X * 10.0;
+        let count = seen(head, &mut reuse);
+        assert!(count.abs_diff(due_patches) <= 1, "{count} for {due_patches}");
     }
 }

@@ -1,4 +1,4 @@
-//! Twin of `ambient.glsl`: the sky's light on a surface.
+//! As `ambient.glsl` has it: the sky's light on a surface.
 
 use glam::{Vec3, Vec4};
 
