@@ -17,6 +17,7 @@ use thiserror::Error;
 pub mod choice;
 #[cfg(feature = "libavcodec")]
 pub mod libavcodec;
+pub mod macroblocks;
 pub mod openh264;
 pub mod picture;
 pub(crate) mod raw;
