@@ -104,7 +104,8 @@ mod tests {
         let picture = Source::Planes(I420::new([2, 2], vec![number; 6]).expect("a picture"));
         let (frame, time) = (UpdateId(number.into()), ServerTime(number.into()));
         let delta = UpdateDelta::default();
-        Box::new(Shaded { update: frame, time, delta, picture, timings: Timings::default() })
+        let (blocks, timings) = (Vec::new(), Timings::default());
+        Box::new(Shaded { update: frame, time, delta, picture, blocks, timings })
     }
 
     #[test]

@@ -2,6 +2,7 @@
 //!
 //! Events of the transport enter; streams leave. Nothing here knows how an update is made.
 
+pub mod cause_bits;
 pub mod encoding;
 pub mod scheduler;
 pub mod sessions;

@@ -40,6 +40,24 @@ pub enum Cause {
     Seen,
 }
 
+/// What the bits of a block are spent for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Reason {
+    /// It has come into view, or into the surround.
+    Entering,
+    /// It has another size, or another place.
+    Resized,
+    /// A pixel of the display covers more or less of its texture.
+    Refiltered,
+    /// Light, shadow or reflection on it has changed.
+    Relit,
+    /// It has moved.
+    Moving,
+}
+
+/// How many reasons there are.
+pub(crate) const REASONS: usize = 5;
+
 /// How many causes there are.
 pub(crate) const CAUSES: usize = 5;
 
@@ -103,6 +121,8 @@ pub(crate) struct Due {
     pub block: Block,
     /// Why.
     pub cause: Cause,
+    /// What its bits are spent for.
+    pub reason: Reason,
 }
 
 /// What an update shaded, and what it did not.
@@ -145,6 +165,8 @@ struct Record {
     evaluated: Option<(Pose, f32)>,
     /// What is due, and since which update; what is not does not wait.
     waits: Option<(Cause, u32)>,
+    /// Of what is due.
+    reason: Reason,
     /// By how much it looks different, steps of the display.
     steps: f32,
     is_around: bool,
@@ -273,7 +295,8 @@ impl<S: PartialEq + Default> Reuse<S> {
         let mut before = self.before.iter().peekable();
         for Placed { patch, block, is_around, is_hidden } in placed {
             while before.next_if(|record| record.patch < patch).is_some() {}
-            let known = before.next_if(|record| record.patch == patch && record.has_become(block));
+            let last = before.next_if(|record| record.patch == patch);
+            let known = last.filter(|record| record.has_become(block));
             let new = || Record {
                 patch,
                 block,
@@ -283,6 +306,7 @@ impl<S: PartialEq + Default> Reuse<S> {
                 receiver: None,
                 evaluated: None,
                 waits: Some((Cause::New, self.update)),
+                reason: last.map_or(Reason::Entering, |last| last.reason_to_replace(is_around)),
                 steps: 0.0,
                 is_around,
                 is_hidden,
@@ -318,9 +342,18 @@ impl<S: PartialEq + Default> Reuse<S> {
         };
         let earlier = record.waits.filter(|(cause, _)| *cause != Cause::Seen).map(|(cause, _)| cause);
         let lasting = light.into_iter().chain(earlier).min();
-        record.steps =
-            if lasting.is_some() { CHANGED_STEPS } else { record.seen_steps(world_from_head, surfaces) };
+        let [lit, filtered] = if lasting.is_some() {
+            [CHANGED_STEPS, 0.0]
+        } else {
+            record.seen_steps(world_from_head, surfaces)
+        };
+        record.steps = lit + filtered;
         let cause = lasting.or_else(|| (record.steps > SEEN_STEPS).then_some(Cause::Seen));
+        record.reason = match cause {
+            Some(Cause::Moved) => Reason::Moving,
+            Some(Cause::Seen) if filtered > lit => Reason::Refiltered,
+            _ => Reason::Relit,
+        };
         record.waits = cause.map(|cause| (cause, record.waits.map_or(self.update, |(_, since)| since)));
     }
 
@@ -374,7 +407,8 @@ impl<S: PartialEq + Default> Reuse<S> {
             (record.steps, record.evaluated) = (0.0, None);
             self.reused.shaded[cause as usize] += 1;
             self.reused.shaded_texels += u64::from(record.block.size.texels());
-            self.due.push(Due { patch: record.patch, block: record.block, cause });
+            let Record { patch, block, reason, .. } = *record;
+            self.due.push(Due { patch, block, cause, reason });
         }
         self.total_texels[0] += texels;
         self.total_texels[1] += self.reused.shaded_texels;
@@ -392,6 +426,16 @@ impl Record {
         self.block == block || has_settled
     }
 
+    /// Why another block takes its place, in view or around it.
+    fn reason_to_replace(&self, is_around: bool) -> Reason {
+        let is_stale = self.block.is_stored() && self.waits.is_some();
+        match (is_stale, self.is_around && !is_around) {
+            (true, _) => self.reason,
+            (false, true) => Reason::Entering,
+            (false, false) => Reason::Resized,
+        }
+    }
+
     /// Whose turn is first, ascending; no two are alike.
     fn rank(&self, update: u32) -> (bool, Reverse<u32>, Reverse<u64>, ScenePatch) {
         let waited = self.waits.map_or(0, |(_, since)| update - since);
@@ -401,14 +445,15 @@ impl Record {
         (!self.is_new(), Reverse(late), Reverse(need), self.patch)
     }
 
-    /// By how much it looks different from a head than from that it was shaded for, steps of the display.
-    fn seen_steps(&mut self, world_from_head: Pose, surfaces: &impl Surfaces) -> f32 {
+    /// By how much it looks different from a head than from that it was shaded for, steps of the display: by what it reflects, and
+    /// by what a pixel covers.
+    fn seen_steps(&mut self, world_from_head: Pose, surfaces: &impl Surfaces) -> [f32; 2] {
         if self.is_hidden || self.world_from_head == world_from_head {
-            return 0.0;
+            return [0.0; 2];
         }
         let moved_m = self.world_from_head.position.distance(world_from_head.position);
         if moved_m >= self.turns_after_m {
-            return CHANGED_STEPS;
+            return [CHANGED_STEPS, 0.0];
         }
         let (patch, block) = (self.patch, self.block);
         let receiver = self.receiver.get_or_insert_with(|| surfaces.receiver(patch, block));
@@ -420,9 +465,10 @@ impl Record {
             false => receiver.gloss.filtered_steps(&then, &now),
         };
         if filtered > SEEN_STEPS {
-            return filtered;
+            return [0.0, filtered];
         }
-        filtered + self.mirrored_steps(&receiver, (&then, &now), world_from_head, surfaces.still_light())
+        let mirrored = self.mirrored_steps(&receiver, (&then, &now), world_from_head, surfaces.still_light());
+        [mirrored, filtered]
     }
 
     /// The same of what it mirrors: the bound where it is small, else evaluated, which holds until the bound from there is large.

@@ -99,7 +99,8 @@ impl InFlight {
 
     /// What was placed is before the device.
     pub(crate) fn shade(&mut self, Placed { update, time, delta, timings, .. }: Placed, ticket: Ticket) {
-        let shaded = Shaded { update, time, delta, picture: Source::default(), timings };
+        let (picture, blocks) = (Source::default(), Vec::new());
+        let shaded = Shaded { update, time, delta, picture, blocks, timings };
         self.in_work = Some(InWork { shaded, ticket });
     }
 

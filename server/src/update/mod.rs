@@ -22,7 +22,7 @@ pub use crate::update::ready::{LeftUpdates, ViewerMemory};
 use crate::encode::Source;
 use crate::motion::delta::UpdateDelta;
 use crate::pacing::overlap::Flight;
-use crate::shading::reuse::Reused;
+use crate::shading::reuse::{Reason, Reused};
 use crate::support::pool::Pool;
 use crate::update::in_flight::{InFlight, Placed};
 use crate::update::numbers::UpdateNumbers;
@@ -34,6 +34,7 @@ use crate::update::visibility_step::{PlacementInput, Start, VisibilityStep};
 use crate::visibility::predict::{HeadTrack, PredictedViews};
 use crate::world::{ViewerId, World};
 use shadecast_gpu::{GpuError, Recorder, Timings};
+use shadecast_protocol::atlas::Block;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{Capabilities, Welcome};
 use shadecast_protocol::time::ServerTime;
@@ -102,6 +103,8 @@ pub struct Shaded {
     pub delta: UpdateDelta,
     /// The atlas; of no texels while an encoder has it.
     pub picture: Source,
+    /// The blocks of the atlas that were shaded, and why.
+    pub blocks: Vec<(Block, Reason)>,
     /// What its stages took on the device.
     pub timings: Timings,
 }

@@ -93,9 +93,9 @@ impl ViewerUpdates {
 
     /// An update that is not needed any more: its memory is used for those that come.
     pub fn recycle(&mut self, shaded: Shaded) {
-        let Shaded { delta, picture: Source::Planes(picture), timings, .. } = shaded;
+        let Shaded { delta, picture: Source::Planes(picture), blocks, timings, .. } = shaded;
         self.placement.residency.recycle(delta);
-        self.shading.recycle(picture);
+        self.shading.recycle(picture, blocks);
         self.timings.give(timings);
     }
 

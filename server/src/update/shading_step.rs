@@ -9,7 +9,7 @@ use crate::pacing::relief::{Measure, Measures};
 use crate::scene::SceneGpu;
 use crate::shading::passes::shading::{Shading, ShadingMemory};
 use crate::shading::passes::ycbcr::Ycbcr;
-use crate::shading::reuse::{Moment, Reuse};
+use crate::shading::reuse::{Moment, Reason, Reuse};
 use crate::support::pool::Pool;
 use crate::time::VIEW_TIMES;
 use crate::update::Shaded;
@@ -19,7 +19,7 @@ use crate::update::policy::UpdatePolicy;
 use crate::world::World;
 use crate::world::moment::Stance;
 use shadecast_gpu::{Access, Gpu, GpuError, Image, Recorder};
-use shadecast_protocol::atlas::AtlasExtent;
+use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::picture::I420;
 use std::sync::Arc;
 
@@ -38,6 +38,8 @@ pub(crate) struct ShadingStep {
     ycbcr: Ycbcr,
     /// Memory for the pictures of updates that come.
     pictures: Pool<I420>,
+    /// The same for their lists of shaded blocks.
+    lists: Pool<Vec<(Block, Reason)>>,
 }
 
 /// What it has on the device, in no world.
@@ -83,6 +85,7 @@ impl ShadingStep {
             budget_texels: u64::MAX,
             measures: Measures::default(),
             pictures: Pool::default(),
+            lists: Pool::default(),
         })
     }
 
@@ -109,9 +112,10 @@ impl ShadingStep {
         }
     }
 
-    /// Takes back a picture, for its memory.
-    pub(crate) fn recycle(&mut self, picture: I420) {
+    /// Takes back a picture and its list of blocks, for their memory.
+    pub(crate) fn recycle(&mut self, picture: I420, blocks: Vec<(Block, Reason)>) {
         self.pictures.give(picture);
+        self.lists.give(blocks);
     }
 
     /// The blocks that are shaded again, and those that are not.
@@ -155,7 +159,7 @@ impl ShadingStep {
         Ok(recorder)
     }
 
-    /// Reads the picture of a shaded update, and the coverage of its masked blocks.
+    /// Reads the picture of a shaded update, the coverage of its masked blocks, and why blocks were shaded.
     pub(crate) fn read(&mut self, shaded: &mut Shaded) {
         let blocks = shaded.delta.masked.iter();
         let covered = blocks.map(|(slot, block)| (*slot, self.ycbcr.coverage(*block)));
@@ -163,5 +167,9 @@ impl ShadingStep {
         let mut picture = self.pictures.take();
         self.ycbcr.read(&mut picture);
         shaded.picture = Source::Planes(picture);
+        // The next update is recorded after this one is read.
+        shaded.blocks = self.lists.take();
+        shaded.blocks.clear();
+        shaded.blocks.extend(self.reuse.shaded().iter().map(|due| (due.block, due.reason)));
     }
 }

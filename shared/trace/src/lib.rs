@@ -7,7 +7,7 @@ mod shares;
 
 pub use shares::Shares;
 
-use serde_json::{Value, json};
+use serde_json::{Map, Value, json};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
 use std::fs::File;
@@ -145,13 +145,20 @@ impl Track {
 
     /// What a figure of this row is from a time on.
     pub fn counter(&self, name: &'static str, at: ServerTime, value: f64) {
+        self.counters(name, at, &[("value", value)]);
+    }
+
+    /// The same of several figures that are shown one above the other.
+    pub fn counters(&self, name: &'static str, at: ServerTime, values: &[(&'static str, f64)]) {
+        let values: Map<String, Value> =
+            values.iter().map(|(name, value)| ((*name).to_owned(), json!(value))).collect();
         let event = json!({
             "ph": "C",
             "name": name,
             "pid": self.process.number(),
             "tid": self.number,
             "ts": microseconds(at.0),
-            "args": { "value": value },
+            "args": values,
         });
         let _ = self.events.send(Some(event));
     }
@@ -267,6 +274,19 @@ mod tests {
         drop(trace);
         track.instant("after", at(2), None);
         assert_eq!(spans(&path).len(), 1);
+    }
+
+    #[test]
+    fn counters_have_their_names() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("trace.json");
+        let trace = Trace::create(&path).unwrap();
+        trace.track(Process::Server, "encoder").counters("bits", at(1), &[("moving", 7.0), ("refresh", 0.0)]);
+        drop(trace);
+        let all = events(&path);
+        let counters: Vec<&Value> = all.iter().filter(|event| event["ph"] == "C").collect();
+        assert_eq!(counters.len(), 1);
+        assert_eq!(counters[0]["args"], json!({ "moving": 7.0, "refresh": 0.0 }));
     }
 
     #[test]

@@ -2,8 +2,9 @@
 
 use super::outlet::Outlet;
 use super::traced::Row;
-use crate::encode::{EncodeError, Encoder, PATIENCE};
+use crate::encode::{AccessUnit, EncodeError, Encoder, PATIENCE};
 use crate::pacing::quality::SentPicture;
+use crate::serve::cause_bits::{CauseBits, Ledger};
 use crate::serve::encoding::{Coded, Encoding};
 use crate::update::Shaded;
 use shadecast_protocol::message::Refused;
@@ -44,6 +45,8 @@ pub(super) enum EncodeOutcome {
         picture: SentPicture,
         /// Bytes of its access unit.
         unit_bytes: usize,
+        /// Where its bits went, where a trace is asked for.
+        bits: Option<CauseBits>,
     },
     /// The encoder is of no further use: why.
     Failed(String),
@@ -76,8 +79,9 @@ impl EncoderThread {
         let (jobs, jobs_from) = sync_channel(1);
         let (outcomes_to, outcomes) = channel();
         let thread = std::thread::Builder::new().name("encoder".into()).spawn(move || {
-            let to = Recipient { outlet: outlet.as_ref(), peer, row };
-            run(Encoding::new(encoder), &to, &jobs_from, &outcomes_to);
+            let ledger = row.is_traced().then(Ledger::default);
+            let mut to = Recipient { outlet: outlet.as_ref(), peer, row, ledger };
+            run(Encoding::new(encoder), &mut to, &jobs_from, &outcomes_to);
         })?;
         Ok(Self { jobs: Some(jobs), outcomes, is_busy: false, thread: Some(thread) })
     }
@@ -127,10 +131,17 @@ struct Recipient<'a> {
     outlet: &'a dyn Outlet,
     peer: PeerId,
     row: Row,
+    /// Where a trace is asked for, until it meets a stream that it cannot read.
+    ledger: Option<Ledger>,
 }
 
 /// Ends when the pipeline lets go, or with the first picture that fails.
-fn run(mut encoding: Encoding, to: &Recipient<'_>, jobs: &Receiver<Job>, outcomes: &Sender<EncodeOutcome>) {
+fn run(
+    mut encoding: Encoding,
+    to: &mut Recipient<'_>,
+    jobs: &Receiver<Job>,
+    outcomes: &Sender<EncodeOutcome>,
+) {
     while let Ok(job) = jobs.recv() {
         // What a panic leaves behind in the encoder is not used again.
         let worked = AssertUnwindSafe(|| encode(&mut encoding, to, job));
@@ -143,7 +154,7 @@ fn run(mut encoding: Encoding, to: &Recipient<'_>, jobs: &Receiver<Job>, outcome
     }
 }
 
-fn encode(encoding: &mut Encoding, to: &Recipient<'_>, job: Job) -> EncodeOutcome {
+fn encode(encoding: &mut Encoding, to: &mut Recipient<'_>, job: Job) -> EncodeOutcome {
     let (began_ns, update) = (monotonic_now_ns(), job.shaded.update);
     if let Err(error) = encoding.submit(job.shaded, job.refresh, job.qp) {
         return EncodeOutcome::Failed(error.to_string());
@@ -165,8 +176,25 @@ fn encode(encoding: &mut Encoding, to: &Recipient<'_>, job: Job) -> EncodeOutcom
     let picture = SentPicture { stream_bytes: out.bytes(), is_refresh, encode_s };
     let unit_bytes = unit.bytes.len();
     match to.outlet.send(to.peer, out) {
-        Ok(()) => EncodeOutcome::Sent { shaded, picture, unit_bytes },
+        Ok(()) => EncodeOutcome::Sent { bits: to.divide(&unit, &shaded), shaded, picture, unit_bytes },
         Err(error) => EncodeOutcome::Failed(format!("a picture could not be sent: {error}")),
+    }
+}
+
+impl Recipient<'_> {
+    /// Where the bits of a picture went, told to the trace too. It has left already.
+    fn divide(&mut self, unit: &AccessUnit, shaded: &Shaded) -> Option<CauseBits> {
+        match self.ledger.as_mut()?.divide(unit, &shaded.blocks) {
+            Ok(bits) => {
+                self.row.bits(&bits);
+                Some(bits)
+            }
+            Err(error) => {
+                tracing::warn!("the trace has no bits by cause: {error}");
+                self.ledger = None;
+                None
+            }
+        }
     }
 }
 

@@ -435,12 +435,15 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let Some(client) = self.clients.get_mut(&peer) else { return Ok(()) };
         match client.encoder.poll() {
             None => {}
-            Some(EncodeOutcome::Sent { shaded, picture, unit_bytes }) => {
+            Some(EncodeOutcome::Sent { shaded, picture, unit_bytes, bits }) => {
                 client.encoder_failures = 0;
                 self.scheduler.encoded(peer, Some((picture.encode_s * 1e9) as i64));
                 client.viewer.sent_picture(shaded.update, picture, now_ns);
                 client.stats.atlas_bytes += unit_bytes as u64;
                 self.stats.atlas_bytes += unit_bytes as u64;
+                if let Some(bits) = bits {
+                    self.stats.bits_by_cause = Some(self.stats.bits_by_cause.unwrap_or_default() + bits);
+                }
                 if let Some(earlier) = self.last_atlas.replace(shaded) {
                     client.viewer.recycle(*earlier);
                 }

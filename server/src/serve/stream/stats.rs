@@ -1,5 +1,6 @@
 //! The figures of a run.
 
+use crate::serve::cause_bits::CauseBits;
 use serde::Serialize;
 use shadecast_gpu::Timings;
 use std::collections::BTreeMap;
@@ -19,6 +20,8 @@ pub struct StreamStats {
     pub server_fps: f64,
     /// Bytes of access units.
     pub atlas_bytes: u64,
+    /// Where the bits of access units went; none without `--trace`.
+    pub bits_by_cause: Option<CauseBits>,
     /// Mean quantiser of all pictures, 0 (finest) to 51.
     pub mean_qp: Option<f64>,
     /// Bytes of geometry deltas.

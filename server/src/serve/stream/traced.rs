@@ -1,5 +1,6 @@
 //! What the server does, told to a trace where one is asked for.
 
+use crate::serve::cause_bits::CauseBits;
 use shadecast_gpu::Timings;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::session::Out;
@@ -62,6 +63,19 @@ impl Row {
     pub(super) fn happens(&self, name: &'static str, update: Option<UpdateId>) {
         if let Some(track) = &self.track {
             track.instant(name, self.at(monotonic_now_ns()), update);
+        }
+    }
+
+    /// Whether anybody reads it.
+    pub(super) fn is_traced(&self) -> bool {
+        self.track.is_some()
+    }
+
+    /// Bits of the picture that has just been coded.
+    pub(super) fn bits(&self, bits: &CauseBits) {
+        if let Some(track) = &self.track {
+            let named = bits.named().map(|(name, bits)| (name, bits as f64));
+            track.counters("bits by cause", self.at(monotonic_now_ns()), &named);
         }
     }
 

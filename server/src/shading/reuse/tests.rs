@@ -339,3 +339,67 @@ fn what_a_rough_surface_mirrors_is_evaluated_and_where_nothing_is_to_be_mirrored
         assert!(count.abs_diff(due_patches) <= 1, "{count} for {due_patches}");
     }
 }
+
+/// Why blocks are shaded, by patch.
+fn reasons(
+    reuse: &mut Reuse<u32>,
+    row: &Row,
+    moment: Moment<u32>,
+    head: Pose,
+    placed: &[Placed],
+) -> Vec<(u32, Reason)> {
+    let due = reuse.due(|now| *now = moment, head, placed.iter().copied(), row, u64::MAX);
+    due.iter().map(|due| (due.patch.0, due.reason)).collect()
+}
+
+#[test]
+fn each_block_is_shaded_for_its_reason() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    let mut placed = all();
+    let of = |patches: std::ops::Range<u32>, reason| patches.map(|patch| (patch, reason)).collect::<Vec<_>>();
+    assert_eq!(reasons(&mut reuse, &row, row.moment([0; 4]), HEAD, &placed), of(0..40, Reason::Entering));
+    placed[5].block = block(400, 4);
+    let found = reasons(&mut reuse, &row, row.moment([0, 0, 0, 1]), HEAD, &placed);
+    assert_eq!(found, [of(5..6, Reason::Resized), of(30..40, Reason::Moving)].concat());
+    let lit = Moment {
+        lamps: vec![Lamp { words: [0.0; 16], position: Row::at(1), range_m: 0.5 }],
+        ..row.moment([0, 0, 0, 1])
+    };
+    assert_eq!(reasons(&mut reuse, &row, lit, HEAD, &placed), of(1..2, Reason::Relit));
+}
+
+#[test]
+fn a_head_that_moves_changes_reflections_or_the_size_of_pixels() {
+    let near = Pose { position: HEAD.position - Vec3::Z, ..HEAD };
+    for (steps_by_radian, steps_by_octave, reason) in
+        [(50.0, 1.0, Reason::Relit), (1.0, 50.0, Reason::Refiltered)]
+    {
+        let row = Row { gloss: Gloss { steps_by_radian, steps_by_octave, ..GLOSS }, ..row() };
+        let mut reuse = Reuse::new(true);
+        reasons(&mut reuse, &row, row.moment([0; 4]), HEAD, &all());
+        let found = reasons(&mut reuse, &row, row.moment([0; 4]), near, &all());
+        assert!(found.contains(&(0, reason)) && found.contains(&(8, reason)), "{found:?}");
+    }
+}
+
+#[test]
+fn blocks_of_the_surround_that_come_into_view_enter_it() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    let mut placed = all();
+    placed[7].is_around = true;
+    reasons(&mut reuse, &row, row.moment([0; 4]), HEAD, &placed);
+    placed[7] = Placed { is_around: false, block: block(400, 4), ..placed[7] };
+    assert_eq!(reasons(&mut reuse, &row, row.moment([0; 4]), HEAD, &placed), [(7, Reason::Entering)]);
+}
+
+#[test]
+fn a_stale_copy_comes_back_for_what_made_it_stale() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    let mut placed = all();
+    reasons(&mut reuse, &row, row.moment([0; 4]), HEAD, &placed);
+    placed[5].block.address.page = 1;
+    assert_eq!(reasons(&mut reuse, &row, row.moment([0; 4]), HEAD, &placed), []);
+    assert_eq!(reasons(&mut reuse, &row, row.moment([1, 0, 0, 0]), HEAD, &placed).len(), 9, "not the copy");
+    placed[5].block = block(400, 3);
+    assert_eq!(reasons(&mut reuse, &row, row.moment([1, 0, 0, 0]), HEAD, &placed), [(5, Reason::Moving)]);
+}

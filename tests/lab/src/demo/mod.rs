@@ -329,6 +329,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
             geometry: (number(&server, "geometry_bytes") + number(&server, "motion_bytes")) * 8e-6 / seconds,
         },
         mean_qp: server.get("mean_qp").and_then(Value::as_f64),
+        bits_by_cause: serde_json::from_value(server["bits_by_cause"].clone())?,
         bytes_per_animated_vertex_sample: (samples > 0.0).then(|| number(&server, "sample_bytes") / samples),
         validation_messages: [server_said, client_said, gpu.checked_messages().map(u64::from)]
             .into_iter()

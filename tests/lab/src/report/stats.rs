@@ -7,6 +7,7 @@ use std::path::{Path, PathBuf};
 use serde::{Deserialize, Serialize};
 use shadecast_client::present::stats::ClientStats;
 use shadecast_gpu::Gpu;
+use shadecast_server::serve::cause_bits::CauseBits;
 use thiserror::Error;
 
 use crate::measure::metrics::{FrameMetrics, PictureMetrics, RegionMetrics};
@@ -36,6 +37,8 @@ pub struct Counted {
     pub client_fps: f64,
     /// Payload rates.
     pub mbit_per_s: MbitPerS,
+    /// Where the bits of the atlas went; none where no H.264 was coded.
+    pub bits_by_cause: Option<CauseBits>,
     /// Bytes on the wire for one vertex at one grid time, headers included; none if nothing animated was sent.
     pub bytes_per_animated_vertex_sample: Option<f64>,
     /// Mean quantiser of all pictures; none where none was coded.
@@ -80,6 +83,9 @@ pub struct Stats {
     pub client_fps: f64,
     /// Payload rates.
     pub mbit_per_s: MbitPerS,
+    /// Where the bits of the atlas went, over the same time: they add up to it. None where no H.264 was coded.
+    #[serde(default)]
+    pub bits_by_cause: Option<CauseBits>,
     /// Bytes on the wire for one vertex at one grid time, headers included.
     pub bytes_per_animated_vertex_sample: Option<f64>,
     /// Mean quantiser of all pictures, 0 (finest) to 51; none where none was coded.
@@ -234,6 +240,7 @@ impl Summary {
             server_fps: counted.server_fps,
             client_fps: counted.client_fps,
             mbit_per_s: counted.mbit_per_s,
+            bits_by_cause: counted.bits_by_cause,
             bytes_per_animated_vertex_sample: counted.bytes_per_animated_vertex_sample,
             mean_qp: counted.mean_qp,
             psnr_db: self.mean(|picture, _| picture.psnr_db),
@@ -311,6 +318,9 @@ impl fmt::Display for Stats {
         line(f, "client", format_args!("{:.1} frames/s", self.client_fps))?;
         let qp = self.mean_qp.map_or(String::new(), |qp| format!(", quantiser {qp:.1}"));
         line(f, "atlas", format_args!("{:.2} Mbit/s{qp}", self.mbit_per_s.atlas))?;
+        if let Some(bits) = &self.bits_by_cause {
+            line(f, "bits by cause", format_args!("{}", shares_in_words(bits)))?;
+        }
         line(f, "geometry", format_args!("{:.2} Mbit/s", self.mbit_per_s.geometry))?;
         let bytes = figure(self.bytes_per_animated_vertex_sample, 2, " bytes per vertex and sample");
         line(f, "animation", format_args!("{bytes}"))?;
@@ -345,6 +355,16 @@ impl fmt::Display for Stats {
         let stages: Vec<_> = self.gpu_ms.iter().map(|(stage, ms)| format!("{stage} {ms:.1}")).collect();
         line(f, "GPU ms/update", format_args!("{}", stages.join(", ")))
     }
+}
+
+/// Parts of all bits, those that there are.
+fn shares_in_words(bits: &CauseBits) -> String {
+    let all = bits.total().max(1) as f64;
+    let named = bits.named();
+    let there = named.iter().filter(|(_, bits)| *bits > 0);
+    let shares: Vec<String> =
+        there.map(|(name, bits)| format!("{name} {:.1} %", 100.0 * *bits as f64 / all)).collect();
+    shares.join(", ")
 }
 
 /// What the validation layers said; silence without them is no result.

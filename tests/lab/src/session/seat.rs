@@ -6,6 +6,7 @@ use super::{SERVER_EPOCH_NS, Server};
 use anyhow::{Context, bail};
 use shadecast_protocol::delta::DeltaSizes;
 use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::message::Codec;
 use shadecast_protocol::session::{Out, clock_stamp, picture_stream};
 use shadecast_protocol::time::ServerTime;
 use shadecast_protocol::wire::PictureHeader;
@@ -16,6 +17,7 @@ use shadecast_server::pacing::gate::Kind;
 use shadecast_server::pacing::overlap::Step;
 use shadecast_server::pacing::quality::SentPicture;
 use shadecast_server::pacing::share::WayState;
+use shadecast_server::serve::cause_bits::{CauseBits, Ledger};
 use shadecast_server::serve::encoding::{Coded, Encoding};
 use shadecast_server::serve::sessions::mailbox::{Accepted, Client, News};
 use shadecast_server::serve::viewer::{Update, Viewer};
@@ -42,6 +44,8 @@ pub struct Sent {
     pub texels: [u64; 2],
     /// Bytes of access units.
     pub atlas_bytes: u64,
+    /// Where their bits went; what was coded in a way that is not read is not among them.
+    pub bits: CauseBits,
     /// Bytes of geometry deltas.
     pub geometry_bytes: u64,
     /// Vertices that entered.
@@ -87,6 +91,7 @@ pub struct Seat {
     /// What goes out beside the session.
     streams: VecDeque<Out>,
     encoding: Option<Encoding>,
+    ledger: Option<Ledger>,
     /// Who is connected.
     pub(super) peer: Option<PeerId>,
     /// Who is served, by its name among the clients of all links.
@@ -146,6 +151,7 @@ impl Seat {
             line,
             streams: VecDeque::new(),
             encoding: None,
+            ledger: None,
             peer: None,
             served: None,
             made: None,
@@ -233,6 +239,7 @@ impl Seat {
         let first_qp = server.quality.first_qp();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
         self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
+        self.ledger = (welcome.codec == Codec::H264).then(Ledger::default);
         let mut updates = ViewerUpdates::with_policy(
             &server.world,
             ViewerId(self.number),
@@ -357,9 +364,13 @@ impl Seat {
         while let Some(coded) = self.encoding.as_mut().and_then(|encoding| encoding.poll(Duration::ZERO)) {
             let Coded { shaded, header, unit } = coded?;
             self.sent.atlas_bytes += unit.bytes.len() as u64;
+            let bits = self.ledger.as_mut().map(|ledger| ledger.divide(&unit, &shaded.blocks)).transpose()?;
+            self.sent.bits = self.sent.bits + bits.unwrap_or_default();
             if let Some(rows) = &self.rows {
                 let times = [done_ns - self.encode_ns, done_ns].map(server_time);
                 rows.encoder.span("encode", times, Some(header.update));
+                let named = bits.unwrap_or_default().named().map(|(name, bits)| (name, bits as f64));
+                rows.encoder.counters("bits by cause", times[1], &named);
             }
             self.leave(Leaving { at_ns: done_ns, viewer: self.number, header, bytes: unit.bytes });
             let earlier = self.last.replace(shaded);

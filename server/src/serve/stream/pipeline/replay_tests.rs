@@ -117,7 +117,12 @@ impl PictureEncoder for SimulatedEncoder {
         bench.encoding.remove(&self.viewer);
         let encode_s = bench.encode_ns as f64 * 1e-9;
         let picture = SentPicture { stream_bytes: 1000, is_refresh: false, encode_s };
-        self.job.take().map(|job| EncodeOutcome::Sent { shaded: job.shaded, picture, unit_bytes: 1000 })
+        self.job.take().map(|job| EncodeOutcome::Sent {
+            shaded: job.shaded,
+            picture,
+            unit_bytes: 1000,
+            bits: None,
+        })
     }
 }
 
@@ -172,7 +177,7 @@ impl Studio for SimulatedStudio {
         let delta = UpdateDelta { geometry, ..UpdateDelta::default() };
         let timing = Timing { scope: "shading", began_ns: 0, took_ns: bench.device.update_ns() };
         let (picture, timings) = (Source::default(), Timings::from_iter([timing]));
-        Ok(Some(Shaded { update, time, delta, picture, timings }))
+        Ok(Some(Shaded { update, time, delta, picture, blocks: Vec::new(), timings }))
     }
 
     fn rest(&self, _: &SimulatedUpdates, at_most: Duration) -> Result<bool, GpuError> {

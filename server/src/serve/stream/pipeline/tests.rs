@@ -229,7 +229,7 @@ impl Studio for FakeStudio {
         let delta = UpdateDelta { geometry: delta, ..UpdateDelta::default() };
         let timing = Timing { scope: "shading", began_ns: 0, took_ns: self.0.device_ns.get() };
         let (picture, timings) = (Source::default(), Timings::from_iter([timing]));
-        Ok(Some(Shaded { update, time, delta, picture, timings }))
+        Ok(Some(Shaded { update, time, delta, picture, blocks: Vec::new(), timings }))
     }
 
     fn rest(&self, _: &FakeUpdates, _: Duration) -> Result<bool, GpuError> {

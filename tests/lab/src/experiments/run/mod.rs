@@ -275,6 +275,7 @@ impl Run<'_> {
                 atlas: mbit(|sent| sent.atlas_bytes),
                 geometry: mbit(|sent| sent.geometry_bytes + sent.motion.total()),
             },
+            bits_by_cause: (sent.bits.total() > 0).then(|| sent.bits - before.bits),
             bytes_per_animated_vertex_sample: (sent.motion.samples > 0)
                 .then(|| sent.motion.sample_bytes as f64 / sent.motion.samples as f64),
             mean_qp: (self.options.renderer == Renderer::Stream && sent.updates > 0)

@@ -22,7 +22,14 @@ fn frame(psnr_db: f64, strict: f64, has_bundle: bool) -> FrameMetrics {
 
 fn counted() -> Counted {
     let mbit_per_s = MbitPerS { atlas: 12.5, geometry: 3.25 };
-    Counted { device: "a device".into(), renderer: "stream".into(), mbit_per_s, ..Counted::default() }
+    let bits_by_cause = Some(CauseBits { moving: 700, headers: 300, ..CauseBits::default() });
+    Counted {
+        device: "a device".into(),
+        renderer: "stream".into(),
+        mbit_per_s,
+        bits_by_cause,
+        ..Counted::default()
+    }
 }
 
 #[test]
@@ -104,6 +111,7 @@ fn the_file_has_the_promised_keys() {
         "server_fps",
         "client_fps",
         "mbit_per_s",
+        "bits_by_cause",
         "bytes_per_animated_vertex_sample",
         "psnr_db",
         "ssim",
@@ -127,6 +135,8 @@ fn the_file_has_the_promised_keys() {
     }
     assert_eq!(value["mbit_per_s"]["atlas"], 12.5);
     assert_eq!(value["mbit_per_s"]["geometry"], 3.25);
+    assert_eq!(value["bits_by_cause"]["moving"], 700);
+    assert!(stats.to_string().contains("moving 70.0 %, headers 30.0 %"), "{stats}");
     assert_eq!(serde_json::from_str::<Stats>(&json).expect("it is the same type"), stats);
 }
 
