@@ -30,7 +30,7 @@ pub struct CauseBits {
     pub moving: u64,
     /// Pictures that need no other.
     pub refresh: u64,
-    /// Macroblocks without a shaded block: mostly refined by a finer quantiser.
+    /// Macroblocks without a shaded block, such as still ones that a finer quantiser refines.
     pub unshaded: u64,
     /// Headers and what encloses the slices.
     pub headers: u64,
