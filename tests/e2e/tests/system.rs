@@ -81,6 +81,8 @@ fn a_dragon_over_a_link_looks_like_the_truth() {
     assert!(bound_ms.is_some_and(|bound_ms| (15.0..30.0).contains(&bound_ms)), "{bound_ms:?}");
     assert!(stats.clock_error_ms <= bound_ms, "{:?} {bound_ms:?}", stats.clock_error_ms);
     assert_eq!(report.stats.bytes_per_animated_vertex_sample, None, "a clip needs no samples");
+    let (parts_mbit, mbit) = (stats.geometry_mbit_per_s.values().sum::<f64>(), stats.mbit_per_s.geometry);
+    assert!((parts_mbit - mbit).abs() < 1e-9 && mbit > 0.0, "{:?}", stats.geometry_mbit_per_s);
     for name in
         ["stats.json", "sheet.png", "atlas.png", "client-left.png", "truth-right.png", "difference-left.png"]
     {

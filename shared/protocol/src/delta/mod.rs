@@ -5,7 +5,10 @@
 //! delta that contradicts the memory is refused.
 
 mod batches;
+mod parts;
 mod sections;
+
+pub use parts::{Part, PartBytes};
 
 use crate::geometry::GeometryDelta;
 use crate::ids::{PatchSlot, UpdateId, VertexSlot};
@@ -87,6 +90,8 @@ pub struct EncodedDelta {
 pub struct DeltaSizes {
     /// All bytes.
     pub total_bytes: usize,
+    /// The same by part.
+    pub parts: PartBytes,
     /// New vertices and evictions of vertices.
     pub vertex_bytes: usize,
     /// Skeletons, meshes, and instances of them.
@@ -200,8 +205,8 @@ impl DeltaEncoder {
         put_skinned(&mut sections[3], &geometry.skinned);
         put_rests(&mut sections[4], &geometry.new_rests);
         put_vertices(&mut sections[5], &geometry.new_vertices);
-        put_patches(&mut sections[6], &geometry.new_patches);
-        put_placements(&mut sections[7], &geometry.placements);
+        let [kinds, corners] = put_patches(&mut sections[6], &geometry.new_patches);
+        let blocks = put_placements(&mut sections[7], &geometry.placements);
         let code = |batch: &SampleBatch, out: &mut Vec<u8>| {
             self.encoder.encode_batch(batch, &mut self.history, out);
         };
@@ -215,6 +220,7 @@ impl DeltaEncoder {
         let length = |indices: &[usize]| indices.iter().map(|&index| sections[index].len()).sum();
         let sizes = DeltaSizes {
             total_bytes: bytes.len(),
+            parts: part_bytes(&sections, bytes.len(), [kinds, corners, blocks]),
             vertex_bytes: length(&[1, 2, 5]),
             skeleton_bytes: length(&[3]),
             rest_bytes: length(&[4]),
@@ -321,6 +327,35 @@ impl DeltaDecoder {
         let samples = take_samples(samples, &entered.sampled, &self.memory, &mut self.history)?;
         Ok(Delta { geometry, is_update: head.is_update, samples })
     }
+}
+
+/// The last three: bytes of the kinds and corners of patches, and of the blocks of placements, in their sections.
+fn part_bytes(
+    sections: &[Vec<u8>; SECTIONS],
+    total: usize,
+    [kinds, corners, blocks]: [usize; 3],
+) -> PartBytes {
+    let mut parts = PartBytes::default();
+    let of_sections = [
+        (&[0, 1][..], Part::Evicted),
+        (&[2, 3], Part::Skeletons),
+        (&[4], Part::Rests),
+        (&[5], Part::Vertices),
+        (&[8], Part::Samples),
+        (&[9], Part::Predictions),
+        (&[10], Part::Coverage),
+        (&[11], Part::Settled),
+    ];
+    for (indices, part) in of_sections {
+        parts.add(part, indices.iter().map(|&index: &usize| sections[index].len()).sum());
+    }
+    parts.add(Part::PatchKinds, kinds);
+    parts.add(Part::Corners, corners);
+    parts.add(Part::PatchSlots, sections[6].len() - kinds - corners);
+    parts.add(Part::Blocks, blocks);
+    parts.add(Part::PlacedSlots, sections[7].len() - blocks);
+    parts.add(Part::Head, total - sections.iter().map(Vec::len).sum::<usize>());
+    parts
 }
 
 fn put_header_and(

@@ -184,8 +184,10 @@ fn take_position(reader: &mut Reader<'_>) -> Result<Vec3, WireError> {
     Err(invalid("a vertex's position", format!("{position} is not within {MAX_COORDINATE_M} m")))
 }
 
-/// Slot, kind and whether the instance changes, instance, vertices as distances from the vertex before.
-pub(super) fn put_patches(out: &mut Vec<u8>, patches: &[NewPatch]) {
+/// Slot, kind and whether the instance changes, instance, vertices as distances from the vertex before. Gives the bytes of kinds and
+/// of vertices.
+pub(super) fn put_patches(out: &mut Vec<u8>, patches: &[NewPatch]) -> [usize; 2] {
+    let mut corner_bytes = 0;
     put_varint(out, patches.len() as u32);
     let (mut previous, mut instance, mut vertex) = (BEFORE_FIRST, InstanceId(0), BEFORE_FIRST);
     for patch in patches {
@@ -196,10 +198,13 @@ pub(super) fn put_patches(out: &mut Vec<u8>, patches: &[NewPatch]) {
             put_varint(out, u32::from(patch.instance.0));
             instance = patch.instance;
         }
+        let before = out.len();
         for slot in &patch.vertices[..patch.kind.vertex_count()] {
             put_successor(out, &mut vertex, slot.0);
         }
+        corner_bytes += out.len() - before;
     }
+    [patches.len(), corner_bytes]
 }
 
 pub(super) fn take_patches(section: &[u8], patch_slots: usize) -> Result<Vec<NewPatch>, WireError> {
@@ -228,13 +233,15 @@ pub(super) fn take_patches(section: &[u8], patch_slots: usize) -> Result<Vec<New
     Ok(patches)
 }
 
-pub(super) fn put_placements(out: &mut Vec<u8>, placements: &[(PatchSlot, Option<Block>)]) {
+/// Slot, block. Gives the bytes of blocks.
+pub(super) fn put_placements(out: &mut Vec<u8>, placements: &[(PatchSlot, Option<Block>)]) -> usize {
     put_varint(out, placements.len() as u32);
     let mut previous = BEFORE_FIRST;
     for (slot, block) in placements {
         put_successor(out, &mut previous, slot.0);
         out.extend_from_slice(&block.map_or(NO_BLOCK, Block::pack).to_le_bytes());
     }
+    4 * placements.len()
 }
 
 pub(super) fn take_placements(

@@ -214,8 +214,40 @@ fn both_sides_stay_in_step_through_random_sessions() {
             assert_eq!(decoder.decode(&encoded.bytes).as_ref(), Ok(&delta), "seed {seed}");
             assert!(coder.memory() == decoder.memory(), "seed {seed}");
             assert_eq!(encoded.sizes.total_bytes, encoded.bytes.len());
+            assert_eq!(encoded.sizes.parts.total(), encoded.bytes.len() as u64, "seed {seed}");
         }
     }
+}
+
+#[test]
+fn bytes_count_for_the_part_that_they_tell() {
+    let vertices = vec![static_vertex(0), static_vertex(1), static_vertex(2)];
+    let patch = NewPatch {
+        slot: PatchSlot(0),
+        instance: InstanceId(0),
+        kind: PatchKind::One,
+        vertices: [0, 1, 2, 0, 0].map(VertexSlot),
+        double_sided: false,
+    };
+    let size = BlockSize { width_log2: 2, height_log2: 2 };
+    let block = Block { address: BlockAddress { page: 0, x: 8, y: 8 }, size };
+    let to = Block { address: BlockAddress { page: 1, x: 64, y: 32 }, size };
+    let enters = GeometryDelta { new_vertices: vertices, new_patches: vec![patch], ..Default::default() };
+    let placed = GeometryDelta { placements: vec![(PatchSlot(0), Some(block))], ..Default::default() };
+    let settles = GeometryDelta { settled: vec![Settled { slot: PatchSlot(0), to }], ..Default::default() };
+    let leaves = GeometryDelta { evicted_patches: vec![PatchSlot(0)], ..Default::default() };
+    let mut coder = DeltaEncoder::new(3, 1).with_store(1);
+    let mut parts = |delta: GeometryDelta| coder.encode_update(&delta).sizes.parts;
+    let empty = parts(GeometryDelta::default());
+    let mut grown = |delta, expected: &[Part]| {
+        let bytes = parts(delta);
+        let more: Vec<_> = Part::ALL.into_iter().filter(|part| bytes.of(*part) > empty.of(*part)).collect();
+        assert_eq!(more, expected);
+    };
+    grown(enters, &[Part::Vertices, Part::PatchSlots, Part::PatchKinds, Part::Corners]);
+    grown(placed, &[Part::PlacedSlots, Part::Blocks]);
+    grown(settles, &[Part::Settled]);
+    grown(leaves, &[Part::Evicted]);
 }
 
 #[test]

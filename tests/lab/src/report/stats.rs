@@ -39,6 +39,8 @@ pub struct Counted {
     pub mbit_per_s: MbitPerS,
     /// Where the bits of the atlas went; none where no H.264 was coded.
     pub bits_by_cause: Option<CauseBits>,
+    /// That of geometry by part; empty where it was not counted.
+    pub geometry_mbit_per_s: BTreeMap<String, f64>,
     /// Bytes on the wire for one vertex at one grid time, headers included; none if nothing animated was sent.
     pub bytes_per_animated_vertex_sample: Option<f64>,
     /// Mean quantiser of all pictures; none where none was coded.
@@ -86,6 +88,10 @@ pub struct Stats {
     /// Where the bits of the atlas went, over the same time: they add up to it. None where no H.264 was coded.
     #[serde(default)]
     pub bits_by_cause: Option<CauseBits>,
+    /// That of geometry by part of the deltas, and of motion beside them; their sum is `mbit_per_s.geometry`. Empty where it was not
+    /// counted.
+    #[serde(default)]
+    pub geometry_mbit_per_s: BTreeMap<String, f64>,
     /// Bytes on the wire for one vertex at one grid time, headers included.
     pub bytes_per_animated_vertex_sample: Option<f64>,
     /// Mean quantiser of all pictures, 0 (finest) to 51; none where none was coded.
@@ -241,6 +247,7 @@ impl Summary {
             client_fps: counted.client_fps,
             mbit_per_s: counted.mbit_per_s,
             bits_by_cause: counted.bits_by_cause,
+            geometry_mbit_per_s: counted.geometry_mbit_per_s,
             bytes_per_animated_vertex_sample: counted.bytes_per_animated_vertex_sample,
             mean_qp: counted.mean_qp,
             psnr_db: self.mean(|picture, _| picture.psnr_db),
@@ -321,7 +328,7 @@ impl fmt::Display for Stats {
         if let Some(bits) = &self.bits_by_cause {
             line(f, "bits by cause", format_args!("{}", shares_in_words(bits)))?;
         }
-        line(f, "geometry", format_args!("{:.2} Mbit/s", self.mbit_per_s.geometry))?;
+        line(f, "geometry", format_args!("{:.2} Mbit/s{}", self.mbit_per_s.geometry, self.largest_parts()))?;
         let bytes = figure(self.bytes_per_animated_vertex_sample, 2, " bytes per vertex and sample");
         line(f, "animation", format_args!("{bytes}"))?;
         let worst = figure(self.psnr_db_worst, 1, " dB");
@@ -379,6 +386,15 @@ pub(crate) fn messages_of_both(server: &Gpu, client: &ClientStats) -> Option<u64
 }
 
 impl Stats {
+    /// The parts of geometry that take more than a hundredth of it, the largest first, in parentheses.
+    fn largest_parts(&self) -> String {
+        let is_large = |(_, mbit): &(&String, &f64)| **mbit > 0.01 * self.mbit_per_s.geometry;
+        let mut parts: Vec<_> = self.geometry_mbit_per_s.iter().filter(is_large).collect();
+        parts.sort_by(|a, b| b.1.total_cmp(a.1));
+        let parts: Vec<_> = parts.iter().map(|(part, mbit)| format!("{part} {mbit:.3}")).collect();
+        if parts.is_empty() { String::new() } else { format!(" ({})", parts.join(", ")) }
+    }
+
     /// The picture figures as a phrase.
     pub fn in_words(&self) -> String {
         let figures = |psnr_db, ssim, flip, holes: Option<f64>| {

@@ -4,7 +4,7 @@ use super::originals::Originals;
 use super::residents::Residents;
 use super::{SERVER_EPOCH_NS, Server};
 use anyhow::{Context, bail};
-use shadecast_protocol::delta::DeltaSizes;
+use shadecast_protocol::delta::{DeltaSizes, Part, PartBytes};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::Codec;
 use shadecast_protocol::session::{Out, clock_stamp, picture_stream};
@@ -48,6 +48,8 @@ pub struct Sent {
     pub bits: CauseBits,
     /// Bytes of geometry deltas.
     pub geometry_bytes: u64,
+    /// The same by part.
+    pub geometry_parts: PartBytes,
     /// Vertices that entered.
     pub new_vertices: u64,
     /// Bytes of vertices that enter and leave in them.
@@ -70,6 +72,16 @@ pub struct Sent {
     pub triangles: u64,
     /// Levels of detail of the instances that updates needed, summed over both, and how many those are.
     pub lods: [u64; 2],
+}
+
+impl Sent {
+    /// Bytes of geometry deltas by part, and of motion beside them, less those of `before`; together they are all that `geometry` of
+    /// [`crate::report::stats::MbitPerS`] counts.
+    pub fn geometry_since(&self, before: &Self) -> impl Iterator<Item = (&'static str, u64)> {
+        let (now, then) = (self.geometry_parts, before.geometry_parts);
+        let parts = Part::ALL.into_iter().map(move |part| (part.name(), now.of(part) - then.of(part)));
+        parts.chain([("motion", self.motion.total() - before.motion.total())])
+    }
 }
 
 /// See the module.
@@ -417,6 +429,7 @@ impl Seat {
 
     fn count(&mut self, sizes: DeltaSizes) {
         self.sent.geometry_bytes += sizes.total_bytes as u64;
+        self.sent.geometry_parts += sizes.parts;
         self.sent.new_vertices += sizes.new_vertices as u64;
         self.sent.vertex_bytes += sizes.vertex_bytes as u64;
         self.sent.skeleton_bytes += sizes.skeleton_bytes as u64;

@@ -276,6 +276,10 @@ impl Run<'_> {
                 geometry: mbit(|sent| sent.geometry_bytes + sent.motion.total()),
             },
             bits_by_cause: (sent.bits.total() > 0).then(|| sent.bits - before.bits),
+            geometry_mbit_per_s: sent
+                .geometry_since(&before)
+                .map(|(part, bytes)| (part.to_owned(), bytes as f64 * 8e-6 / seconds))
+                .collect(),
             bytes_per_animated_vertex_sample: (sent.motion.samples > 0)
                 .then(|| sent.motion.sample_bytes as f64 / sent.motion.samples as f64),
             mean_qp: (self.options.renderer == Renderer::Stream && sent.updates > 0)

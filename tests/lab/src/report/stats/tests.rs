@@ -23,13 +23,24 @@ fn frame(psnr_db: f64, strict: f64, has_bundle: bool) -> FrameMetrics {
 fn counted() -> Counted {
     let mbit_per_s = MbitPerS { atlas: 12.5, geometry: 3.25 };
     let bits_by_cause = Some(CauseBits { moving: 700, headers: 300, ..CauseBits::default() });
+    let geometry_mbit_per_s = [("blocks", 2.0), ("corners", 1.25), ("head", 0.0)];
     Counted {
         device: "a device".into(),
         renderer: "stream".into(),
         mbit_per_s,
         bits_by_cause,
+        geometry_mbit_per_s: geometry_mbit_per_s.map(|(part, mbit)| (part.to_owned(), mbit)).into(),
         ..Counted::default()
     }
+}
+
+#[test]
+fn the_largest_parts_of_geometry_are_printed() {
+    let text = Summary::default().finish(counted()).to_string();
+    assert!(text.contains("3.25 Mbit/s (blocks 2.000, corners 1.250)\n"), "{text}");
+    let bare = Counted { geometry_mbit_per_s: BTreeMap::new(), ..counted() };
+    let text = Summary::default().finish(bare).to_string();
+    assert!(text.contains("3.25 Mbit/s\n"), "{text}");
 }
 
 #[test]
@@ -112,6 +123,7 @@ fn the_file_has_the_promised_keys() {
         "client_fps",
         "mbit_per_s",
         "bits_by_cause",
+        "geometry_mbit_per_s",
         "bytes_per_animated_vertex_sample",
         "psnr_db",
         "ssim",
