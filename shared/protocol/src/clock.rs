@@ -23,11 +23,16 @@ use std::collections::VecDeque;
 const WINDOW: usize = 640;
 /// Exchanges and stamps older than this count no more.
 const WINDOW_NS: i64 = 60_000_000_000;
-/// A drift of this size is held against a fit as much as [`DRIFT_COST_NS`] of delay, so that a short window does not
-/// take jitter for drift. Quartz is within 100 parts per million.
+/// A drift of this size is held against a fit as much as [`DRIFT_COST_NS`] of delay, and as twice the distance from one of the
+/// fastest packets to the next, so that a short window does not take jitter for drift. Quartz is within 100 parts per million.
+///
+/// Where `n` packets are spread evenly over a delay `w`, a fit whose lines are `g` further apart is `exp(n * g / w)` times as
+/// likely, and `w / n` is that distance; a drift with a deviation of half this size is `exp(-2 * (drift / scale)^2)` as likely.
 const DRIFT_SCALE: f64 = 100e-6;
 /// See [`DRIFT_SCALE`].
 const DRIFT_COST_NS: f64 = 100_000.0;
+/// Packets from whose delays the distance is taken, beside the fastest.
+const NEAR_FASTEST: usize = 4;
 /// Drift beyond this is not believed.
 const MAX_DRIFT: f64 = 500e-6;
 /// Steps of the search for the drift; each leaves two thirds of the interval, in the end less than 1e-10.
@@ -263,9 +268,9 @@ impl ClockEstimator {
         let down = lower_hull(self.ways_down().map(|Stamp { client_receive, down_ns }| {
             (client_receive.since(origin) as f64, (down_ns + base_ns) as f64)
         }));
-        let gap = |drift: f64| {
-            least(&up, drift) + least(&down, -drift) - DRIFT_COST_NS * (drift / DRIFT_SCALE).powi(2)
-        };
+        let cost_ns = DRIFT_COST_NS.max(2.0 * self.spacing_ns(origin));
+        let gap =
+            |drift: f64| least(&up, drift) + least(&down, -drift) - cost_ns * (drift / DRIFT_SCALE).powi(2);
         let (mut low, mut high) = (-MAX_DRIFT, MAX_DRIFT);
         for _ in 0..DRIFT_STEPS {
             let third = (high - low) / 3.0;
@@ -274,6 +279,20 @@ impl ClockEstimator {
         let drift = (low + high) * 0.5;
         let offset = (least(&up, drift) - least(&down, -drift)) * 0.5;
         Some(Line { origin, offset_ns: base_ns + offset as i64, drift })
+    }
+
+    /// From one of the fastest packets to the next, nanoseconds of delay, as the mean of both ways and without the drift that is
+    /// known so far. So much the envelope of a way is off.
+    fn spacing_ns(&self, origin: ClientTime) -> f64 {
+        let drift = self.drift().unwrap_or(0.0);
+        let up = self
+            .exchanges
+            .iter()
+            .map(|exchange| exchange.up_ns as f64 - drift * exchange.client_send.since(origin) as f64);
+        let down = self.ways_down().map(|Stamp { client_receive, down_ns }| {
+            down_ns as f64 + drift * client_receive.since(origin) as f64
+        });
+        (spacing(up.collect()) + spacing(down.collect())) * 0.5
     }
 
     /// See [`ShownClock::show`].
@@ -385,6 +404,14 @@ impl ShownClock {
         let off_ns = high_ns.saturating_sub(offset_ns).max(offset_ns.saturating_sub(low_ns)).max(0);
         Some(off_ns.saturating_add(dispersion_ns(at, known)))
     }
+}
+
+/// Mean distance between the least of these, up to [`NEAR_FASTEST`] of them beside the first. At least one there is.
+fn spacing(mut values: Vec<f64>) -> f64 {
+    let count = NEAR_FASTEST.min(values.len() - 1);
+    let (below, at, _) = values.select_nth_unstable_by(count, f64::total_cmp);
+    let least = below.iter().copied().fold(*at, f64::min);
+    (*at - least) / count.max(1) as f64
 }
 
 /// The corners of the lower convex hull, by rising abscissa: no line can touch the points from below elsewhere.

@@ -17,6 +17,19 @@ impl Path {
         display_ns + self.offset_ns + (self.drift * display_ns as f64) as i64
     }
 
+    /// The drift that is found within `seconds`.
+    fn drift(&self, seed: u64, seconds: i64) -> f64 {
+        let mut dice = Dice::new(seed);
+        let mut clock = ClockEstimator::new();
+        for now in (0..seconds * 1000 / 25).map(|n| n * 25 * MS) {
+            let up = self.one_way_ns + dice.below(self.jitter_up_ns as u64 + 1) as i64;
+            let down = self.one_way_ns + dice.below(self.jitter_down_ns as u64 + 1) as i64;
+            let received = ServerTime(self.server_clock(now + up));
+            clock.on_pong(ClientTime(now), received, received, ClientTime(now + up + down));
+        }
+        clock.drift().expect("exchanges")
+    }
+
     /// The largest error in nanoseconds after `settle_s`, at display times up to 50 ms ahead.
     fn worst_error_ns(&self, seed: u64, seconds: i64, settle_s: i64) -> i64 {
         let mut dice = Dice::new(seed);
@@ -56,6 +69,20 @@ fn symmetric_jitter_and_drift_leave_less_than_a_millisecond() {
             assert!(worst < MS, "seed {seed}, drift {drift}: {worst} ns");
         }
     }
+}
+
+#[test]
+fn two_seconds_of_jitter_are_no_drift() {
+    let path = Path {
+        offset_ns: 0,
+        drift: 0.0,
+        one_way_ns: 10 * MS,
+        jitter_up_ns: 20 * MS,
+        jitter_down_ns: 20 * MS,
+    };
+    let drifts = (0..50).map(|seed| path.drift(seed, 2).abs());
+    let (mean, worst) = (drifts.clone().sum::<f64>() / 50.0, drifts.fold(0.0, f64::max));
+    assert!(mean < 15e-6 && worst < 60e-6, "{mean}, at worst {worst}");
 }
 
 #[test]

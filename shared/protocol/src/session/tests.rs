@@ -521,6 +521,47 @@ fn a_stamp_counts_once_the_clock_is_known_and_with_the_next_turn() {
     assert_eq!(pair.client.clock().error_bound_ns(NOW), Some(before), "a second late: it tells nothing");
 }
 
+/// When the pings left that wait to be carried.
+fn pings(client: &mut ClientSession) -> Vec<ClientTime> {
+    let out = std::iter::from_fn(|| client.poll_out());
+    let sent = out.filter_map(|out| match out {
+        Out::Datagram(bytes) => match ClientDatagram::decode(&bytes) {
+            Ok(ClientDatagram::ClockPing { client_send }) => Some(client_send),
+            _ => None,
+        },
+        _ => None,
+    });
+    sent.collect()
+}
+
+#[test]
+fn a_ping_that_is_nearly_due_leaves_with_a_head_state() {
+    let mut pair = Pair::connected();
+    let early = NOW.plus_ns(QUICK_PING_NS - QUICK_EARLY_NS);
+    pair.client.on_tick(early);
+    assert_eq!(pings(&mut pair.client), [], "nothing leaves that it could join");
+    pair.client.send_pose(head(0));
+    pair.client.on_tick(early);
+    assert_eq!(pings(&mut pair.client), [early]);
+    pair.client.send_pose(head(1));
+    pair.client.on_tick(early.plus_ns(1_000_000));
+    assert_eq!(pings(&mut pair.client), [], "the last one has just left");
+}
+
+#[test]
+fn a_stamp_is_answered_by_a_ping_and_a_flood_of_stamps_by_few() {
+    let mut pair = Pair::connected();
+    let Out::Datagram(stamp) = clock_stamp(ServerTime(0)) else { panic!("a stamp is a datagram") };
+    let soon = NOW.plus_ns(STAMP_PING_NS);
+    pair.client.on_datagram(&stamp, NOW.plus_ns(STAMP_PING_NS - 1));
+    assert_eq!(pings(&mut pair.client), [], "one has just left");
+    pair.client.on_datagram(&stamp, soon);
+    assert_eq!(pings(&mut pair.client), [soon]);
+    (0..10_000).for_each(|i| pair.client.on_datagram(&stamp, soon.plus_ns(i * 10_000)));
+    let sent = pings(&mut pair.client).len();
+    assert!(sent <= 25, "{sent} in 100 ms");
+}
+
 #[test]
 fn however_many_answers_come_the_clock_is_fitted_once_a_turn() {
     let mut pair = Pair::connected();
