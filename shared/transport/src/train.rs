@@ -15,6 +15,8 @@ const LEAST_BYTES: u64 = 8 * 1200;
 const MEASURED_PART: f64 = 0.85;
 /// Acknowledgements that come closer together count as this far apart: so finely nobody reads a socket.
 const SHORTEST: Duration = Duration::from_micros(500);
+/// A longer train is no probe, and nothing waits for its word.
+const PROBE_BYTES: u64 = 24 * 1200;
 /// A train of which so long nothing has arrived any more is given up.
 const GIVEN_UP: Duration = Duration::from_secs(2);
 
@@ -23,6 +25,8 @@ const GIVEN_UP: Duration = Duration::from_secs(2);
 pub(crate) struct Trains {
     under_way: Option<Train>,
     bytes_s: Option<f64>,
+    /// Something has left behind the first train, which has yet to be measured.
+    is_awaited: bool,
 }
 
 /// Packets that leave together, and what has arrived of them.
@@ -34,11 +38,20 @@ struct Train {
     acked_bytes: u64,
     /// When the first acknowledgement came, and for how many bytes.
     first_acked: Option<(Instant, u64)>,
+    /// Something that left later has arrived: too much of the train is lost.
+    is_overtaken: bool,
 }
 
 impl Train {
     fn of(now: Instant, bytes: u64) -> Self {
-        Self { first_sent: now, last_sent: now, sent_bytes: bytes, acked_bytes: 0, first_acked: None }
+        Self {
+            first_sent: now,
+            last_sent: now,
+            sent_bytes: bytes,
+            acked_bytes: 0,
+            first_acked: None,
+            is_overtaken: false,
+        }
     }
 
     /// Bytes a second, once enough of it has arrived. What the first acknowledgement is for arrived before the time that is measured.
@@ -57,6 +70,11 @@ impl Trains {
         self.bytes_s
     }
 
+    /// Whether what leaves now leaves behind a first train that will soon tell what the path carries.
+    pub(crate) fn is_awaited(&self) -> bool {
+        self.is_awaited
+    }
+
     /// A packet leaves. One that is no more of the train under way begins a new one, unless what is awaited is long enough.
     pub(crate) fn sent(&mut self, now: Instant, bytes: u64) {
         match &mut self.under_way {
@@ -66,8 +84,12 @@ impl Trains {
             }
             Some(train)
                 if train.sent_bytes >= LEAST_BYTES
-                    && now.saturating_duration_since(train.last_sent) <= GIVEN_UP => {}
-            _ => self.under_way = Some(Train::of(now, bytes)),
+                    && now.saturating_duration_since(train.last_sent) <= GIVEN_UP =>
+            {
+                let is_probe = self.bytes_s.is_none() && train.sent_bytes <= PROBE_BYTES;
+                self.is_awaited = is_probe && !train.is_overtaken;
+            }
+            _ => (self.under_way, self.is_awaited) = (Some(Train::of(now, bytes)), false),
         }
     }
 
@@ -75,6 +97,8 @@ impl Trains {
     pub(crate) fn acked(&mut self, now: Instant, sent: Instant, bytes: u64) {
         let Some(train) = &mut self.under_way else { return };
         if !(train.first_sent..=train.last_sent).contains(&sent) {
+            train.is_overtaken |= sent > train.last_sent;
+            self.is_awaited &= !train.is_overtaken;
             return;
         }
         train.acked_bytes += bytes;
@@ -86,7 +110,7 @@ impl Trains {
         let measured = train.bytes_s(now);
         self.bytes_s = measured.or(self.bytes_s);
         if measured.is_some() || train.acked_bytes >= train.sent_bytes {
-            self.under_way = None;
+            (self.under_way, self.is_awaited) = (None, false);
         }
     }
 }
@@ -148,5 +172,28 @@ mod tests {
         (0..16).for_each(|_| trains.sent(later, 1200));
         (1..=16).for_each(|n| trains.acked(later + Duration::from_millis(40 + n), later, 1200));
         assert!(trains.bytes_s().is_some());
+    }
+
+    #[test]
+    fn what_leaves_behind_a_short_first_train_awaits_its_word() {
+        let start = Instant::now();
+        let behind = start + 2 * LARGEST_GAP;
+        for (packets, awaits) in [(6, false), (16, true), (200, false)] {
+            let mut trains = Trains::default();
+            (0..packets).for_each(|_| trains.sent(start, 1200));
+            assert!(!trains.is_awaited(), "nothing is behind {packets} packets");
+            trains.sent(behind, 1200);
+            assert_eq!(trains.is_awaited(), awaits, "{packets} packets");
+            (1..=packets).for_each(|n| trains.acked(behind + Duration::from_millis(n), start, 1200));
+            trains.sent(behind + Duration::from_secs(1), 1200);
+            assert!(!trains.is_awaited(), "{packets} packets have told");
+        }
+        let mut trains = Trains::default();
+        (0..16).for_each(|_| trains.sent(start, 1200));
+        trains.sent(behind, 1200);
+        trains.acked(behind + Duration::from_millis(40), behind, 1200);
+        assert!(!trains.is_awaited(), "it has arrived before the train: that is lost");
+        trains.sent(behind + Duration::from_millis(50), 1200);
+        assert!(!trains.is_awaited(), "and stays so");
     }
 }

@@ -289,7 +289,7 @@ fn assert_within(link: &str, load: Load, bars_ms: [[f64; 2]; 4]) {
 
 #[test]
 fn beside_pictures_the_clock_is_half_a_millisecond_off_after_a_second() {
-    const BARS_MS: [[f64; 2]; 4] = [[1.3, 5.0], [0.75, 2.1], [0.4, 1.2], [0.3, 1.0]];
+    const BARS_MS: [[f64; 2]; 4] = [[1.3, 5.0], [0.75, 2.5], [0.42, 1.8], [0.3, 1.3]];
     assert_within("latency=20ms,jitter=10ms,rate=100mbit", FULL, BARS_MS);
     assert_within("latency=110ms,jitter=10ms,rate=100mbit", FULL, BARS_MS);
 }
