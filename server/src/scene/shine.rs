@@ -1,4 +1,4 @@
-//! How much the light of a flat surface changes with the eye, evaluated where [`Gloss`](crate::scene::gloss::Gloss) only bounds it. Pure.
+//! How much the light of a flat surface changes with the eye, evaluated where [`Gloss`](crate::scene::gloss::Gloss) only bounds it: for copies in the store. Pure.
 //!
 //! The bound holds for any sky and any light. What a rough surface mirrors of a smooth sky changes many times less, and it is most of
 //! what there is. Normals within [`TILT_RAD`] stand for normal maps, smooth shading and the extent of a patch.

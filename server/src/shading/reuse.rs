@@ -471,7 +471,8 @@ impl Record {
         [mirrored, filtered]
     }
 
-    /// The same of what it mirrors: the bound where it is small, else evaluated, which holds until the bound from there is large.
+    /// The same of what it mirrors: the bound; of a copy in the store, where that is large, evaluated, which holds until the bound from
+    /// there is large.
     fn mirrored_steps(
         &mut self,
         receiver: &Receiver,
@@ -482,7 +483,7 @@ impl Record {
         let gloss = &receiver.gloss;
         let way_m = |head: Pose| head.position.distance(world_from_head.position);
         let bound = gloss.mirrored_steps(then, now, way_m(self.world_from_head));
-        if bound <= SEEN_STEPS {
+        if bound <= SEEN_STEPS || !self.block.is_stored() {
             return bound;
         }
         if let Some((at, steps)) = self.evaluated {
