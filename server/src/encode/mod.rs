@@ -18,6 +18,7 @@ pub mod choice;
 #[cfg(feature = "libavcodec")]
 pub mod libavcodec;
 pub mod macroblocks;
+pub(crate) mod nal;
 pub mod openh264;
 pub mod picture;
 pub(crate) mod raw;

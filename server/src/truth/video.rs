@@ -5,6 +5,7 @@
 //! Both hold the atlas's own colour coding, full-range BT.709 4:2:0 with chroma in the middle of its four pixels, and declare
 //! it: Y4M by its tags, H.264 by its VUI.
 
+use crate::encode::nal::{PICTURE_PARAMETERS, SEQUENCE_PARAMETERS, units};
 use crate::encode::openh264::{EncoderSettings, OpenH264Encoder};
 use crate::encode::{EncodeError, Source, encode_one};
 use mp4::{AvcConfig, MediaConfig, Mp4Config, Mp4Sample, Mp4Writer, TrackConfig, TrackType};
@@ -211,7 +212,7 @@ impl Mp4 {
         let picture = Source::Planes(i420_of(rgb8, self.extent));
         let time_ns = (f64::from(self.pictures) / self.fps * 1e9) as i64;
         let unit = encode_one(&mut self.encoder, picture, time_ns, self.pictures == 0)?;
-        let nals = nal_units(&unit.bytes);
+        let nals: Vec<&[u8]> = units(&unit.bytes).collect();
         if self.pictures == 0 {
             self.add_track(&nals)?;
         }
@@ -230,7 +231,9 @@ impl Mp4 {
 
     fn add_track(&mut self, nals: &[&[u8]]) -> Result<(), VideoError> {
         let of_kind = |kind: u8| nals.iter().find(|nal| nal[0] & 31 == kind).map(|nal| nal.to_vec());
-        let (Some(seq_param_set), Some(pic_param_set)) = (of_kind(SPS), of_kind(PPS)) else {
+        let (Some(seq_param_set), Some(pic_param_set)) =
+            (of_kind(SEQUENCE_PARAMETERS), of_kind(PICTURE_PARAMETERS))
+        else {
             let problem = "the encoder's first picture has no parameter sets".into();
             return Err(VideoError::Container { file: self.file.clone(), problem });
         };
@@ -256,33 +259,9 @@ fn container(file: &Path, error: &mp4::Error) -> VideoError {
     VideoError::Container { file: file.to_owned(), problem: error.to_string() }
 }
 
-const SPS: u8 = 7;
-const PPS: u8 = 8;
-
-/// The NAL units of a byte stream with start codes (ITU-T H.264 annex B), without them; none is empty.
-fn nal_units(bytes: &[u8]) -> Vec<&[u8]> {
-    let mut starts = Vec::new();
-    let mut at = 0;
-    while at + 3 <= bytes.len() {
-        if bytes[at..at + 3] == [0, 0, 1] {
-            starts.push(at + 3);
-            at += 3;
-        } else {
-            at += 1;
-        }
-    }
-    let ends = starts.iter().skip(1).map(|start| start - 3).chain([bytes.len()]);
-    let trimmed = starts.iter().zip(ends).map(|(start, end)| {
-        let nal = &bytes[*start..end];
-        // What follows the last byte of a unit, which is never zero, belongs to the next start code.
-        &nal[..nal.iter().rposition(|byte| *byte != 0).map_or(0, |last| last + 1)]
-    });
-    trimmed.filter(|nal| !nal.is_empty()).collect()
-}
-
 /// Units as MP4 has them: each after its length, the parameter sets left to the track's description.
 fn length_prefixed(nals: &[&[u8]]) -> Vec<u8> {
-    let pictures = nals.iter().filter(|nal| !matches!(nal[0] & 31, SPS | PPS));
+    let pictures = nals.iter().filter(|nal| !matches!(nal[0] & 31, SEQUENCE_PARAMETERS | PICTURE_PARAMETERS));
     pictures.flat_map(|nal| (nal.len() as u32).to_be_bytes().into_iter().chain(nal.iter().copied())).collect()
 }
 
@@ -367,9 +346,9 @@ mod tests {
     #[test]
     fn start_codes_of_both_lengths_part_units() {
         let stream = [0, 0, 0, 1, 0x67, 9, 0, 0, 1, 0x68, 8, 0, 0, 0, 1, 0x65, 0, 7];
-        let units = nal_units(&stream);
-        assert_eq!(units, [&[0x67u8, 9][..], &[0x68, 8], &[0x65, 0, 7]]);
-        assert_eq!(length_prefixed(&units), [0, 0, 0, 3, 0x65, 0, 7]);
-        assert!(nal_units(&[0, 0]).is_empty());
+        let nals: Vec<&[u8]> = units(&stream).collect();
+        assert_eq!(nals, [&[0x67u8, 9][..], &[0x68, 8], &[0x65, 0, 7]]);
+        assert_eq!(length_prefixed(&nals), [0, 0, 0, 3, 0x65, 0, 7]);
+        assert!(units(&[0, 0]).next().is_none());
     }
 }

@@ -195,7 +195,8 @@ impl Detail {
         }
     }
 
-    /// An update begins for a client with this room, which needs some instances and sees each from so near. It may bring so many bytes of geometry. LODs may err by `error` times as much as was asked for.
+    /// An update begins for a client with this room, which needs some instances and sees each from so near. It may bring so
+    /// many bytes of geometry. LODs may err by `error` times as much as was asked for.
     pub(crate) fn begin(
         &mut self,
         (room, bytes): (Room, usize),

@@ -12,8 +12,9 @@ mod residual;
 mod slice;
 mod tables;
 
+use crate::encode::nal::{PICTURE_PARAMETERS, REFRESH_SLICE, SEQUENCE_PARAMETERS, SLICE, units};
 use headers::{Parameters, SliceHeader};
-use reader::{Reader, payload, units};
+use reader::{Reader, payload};
 use slice::{Shape, Slice};
 use thiserror::Error;
 
@@ -43,12 +44,6 @@ pub struct BitCounter {
     parameters: Parameters,
     counted: MacroblockBits,
 }
-
-/// NAL unit types.
-const SLICE: u8 = 1;
-const REFRESH_SLICE: u8 = 5;
-const SEQUENCE_PARAMETERS: u8 = 7;
-const PICTURE_PARAMETERS: u8 = 8;
 
 impl BitCounter {
     /// Counts the bits of the next access unit, a byte stream with start codes.

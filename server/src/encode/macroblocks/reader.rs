@@ -1,25 +1,9 @@
-//! NAL units of a byte stream, and the bits in them.
+//! The bits in a NAL unit.
 
 use super::CountError;
 
 /// Longest Exp-Golomb code of a number of 32 bits.
 const MOST_LEADING_ZEROS: u32 = 31;
-
-/// The NAL units between start codes.
-pub(super) fn units(stream: &[u8]) -> impl Iterator<Item = &[u8]> {
-    let next = |from: usize| {
-        let found = stream.get(from..)?.windows(3).position(|three| three == [0, 0, 1])?;
-        Some(from + found)
-    };
-    let mut start = next(0);
-    std::iter::from_fn(move || {
-        let from = start? + 3;
-        start = next(from);
-        let unit = &stream[from..start.unwrap_or(stream.len())];
-        let zeros = unit.iter().rev().take_while(|byte| **byte == 0).count();
-        Some(&unit[..unit.len() - zeros])
-    })
-}
 
 /// What a NAL unit holds: without the bytes that keep start codes out of it.
 pub(super) fn payload(unit: &[u8]) -> Vec<u8> {
