@@ -232,10 +232,11 @@ impl<U: Updates> Viewer<U> {
         &mut self.updates
     }
 
-    /// The update took the device so long, seconds; times as many as share the device.
-    pub fn note_update(&mut self, took_s: f64) {
+    /// The update took the device so long, seconds; times as many as share the device. `apart_s`: from the one before to it, as far as
+    /// this machine is the bound.
+    pub fn note_update(&mut self, took_s: f64, apart_s: f64) {
         self.quality.note_update(took_s);
-        self.relief.note(took_s);
+        self.relief.note(apart_s);
         self.updates.note_update((took_s * 1e9) as i64);
     }
 

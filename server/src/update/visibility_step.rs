@@ -323,6 +323,7 @@ impl VisibilityStep {
     /// What updates do without from now on.
     pub(crate) fn set_measures(&mut self, measures: Measures) {
         self.measures = measures;
+        self.detail.change_gradually(measures.are_some());
     }
 
     /// Takes back the LODs of an update, for their memory.

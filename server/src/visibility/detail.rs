@@ -43,6 +43,8 @@ const UNKNOWN_SHARE: f32 = 0.6;
 const RIM: f32 = 1.1;
 /// LODs change in one of so many updates only: these need a second ID buffer.
 const CHANGE_EVERY_UPDATES: u32 = 4;
+/// On a slow device LODs change meanwhile for this part of what is seen, or for one instance.
+const GRADUAL_PART: f32 = 0.25;
 
 /// Factors on the error that LODs may have.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -93,6 +95,8 @@ pub(crate) struct Detail {
     update: u32,
     /// Bytes of geometry that the update may bring.
     bytes: usize,
+    /// The device is slow: LODs change one after the other.
+    is_gradual: bool,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -192,6 +196,7 @@ impl Detail {
             roomy: ROOMY,
             update: 0,
             bytes: usize::MAX,
+            is_gradual: false,
         }
     }
 
@@ -222,12 +227,39 @@ impl Detail {
             }
             let may_change = is_tight || self.update % CHANGE_EVERY_UPDATES == 1;
             self.want(|state| may_change || state.is_hurried || state.shown.is_none());
+            if self.is_gradual && !is_tight {
+                self.change_a_few();
+            }
             self.enter_whole();
         }
         // What is not on display is not missed.
         for state in self.states.iter_mut().filter(|state| state.is_needed) {
             let on_display = state.shown.filter(|_| state.share > 0.0);
             state.shown = Some(on_display.unwrap_or(state.wanted));
+        }
+    }
+
+    /// Whether LODs change one after the other: a device is slow. All blocks of another LOD are new, and both LODs are looked for.
+    pub(crate) fn change_gradually(&mut self, is_gradual: bool) {
+        self.is_gradual = is_gradual;
+    }
+
+    /// Of what is on display, only what is most looked at wants another LOD.
+    fn change_a_few(&mut self) {
+        let seen = |state: &State, costs: &[LodCost], lod: usize| state.share * costs[lod].patches as f32;
+        let of_all = self.states.iter().zip(&self.costs);
+        let shown = of_all.filter_map(|(state, costs)| Some(seen(state, costs, state.shown?)));
+        let all: f32 = shown.sum();
+        let mut changing: Vec<_> = self.states.iter_mut().zip(&self.costs).collect();
+        changing.retain(|(state, _)| state.is_on_display() && state.shown != Some(state.wanted));
+        changing.sort_by(|(a, _), (b, _)| b.attention.total_cmp(&a.attention));
+        let mut changed = 0.0;
+        for (state, costs) in changing {
+            if changed < GRADUAL_PART * all {
+                changed += seen(state, costs, state.wanted);
+            } else {
+                state.wanted = state.shown.unwrap_or(state.wanted);
+            }
         }
     }
 

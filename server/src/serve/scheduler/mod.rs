@@ -52,6 +52,8 @@ pub enum Action<V> {
 pub struct UpdateCost {
     /// Device and CPU, in a row, nanoseconds.
     pub took_ns: i64,
+    /// Since the update before was shaded, where neither its viewer's period nor its link held this one back, nanoseconds.
+    pub apart_ns: Option<i64>,
     /// Viewers that share the device.
     pub viewers: usize,
 }
@@ -60,6 +62,11 @@ impl UpdateCost {
     /// Seconds of the device's time between two updates of this viewer, while it is shared.
     pub fn shared_s(self) -> f64 {
         self.took_ns as f64 * 1e-9 * self.viewers as f64
+    }
+
+    /// Seconds between two updates, as far as this machine is their bound: other programs and the encoder take part in it too.
+    pub fn apart_s(self) -> f64 {
+        self.apart_ns.map_or(0.0, |apart_ns| apart_ns as f64 * 1e-9).max(self.shared_s())
     }
 }
 
@@ -70,6 +77,10 @@ struct Seat {
     due_ns: Option<i64>,
     overlap: Overlap,
     is_in_flight: bool,
+    /// Since the last update was collected, none was due for a while, or the link took none.
+    was_held_back: bool,
+    /// When the last update was collected.
+    collected_ns: Option<i64>,
     /// CPU time of its steps since the last update was collected, nanoseconds.
     cpu_ns: i64,
     /// A shaded update waits for the encoder.
@@ -108,6 +119,8 @@ impl<V: Copy + Ord> Scheduler<V> {
             due_ns: Some(now_ns),
             overlap: Overlap::new(self.period_ns),
             is_in_flight: false,
+            was_held_back: true,
+            collected_ns: None,
             cpu_ns: 0,
             is_made: false,
             is_encoding: false,
@@ -165,12 +178,16 @@ impl<V: Copy + Ord> Scheduler<V> {
         }
         seat.is_in_flight = true; // unless the device says otherwise when it is asked next
         let device_ns = device_ns?;
+        let collected_ns = begun_ns + cpu_ns;
         let cpu_ns = std::mem::take(&mut seat.cpu_ns);
         seat.update_ns = cpu_ns + device_ns;
         seat.is_made = true;
+        let before_ns = seat.collected_ns.replace(collected_ns);
+        let was_held_back = std::mem::take(&mut seat.was_held_back);
+        let apart_ns = before_ns.filter(|_| !was_held_back).map(|before_ns| collected_ns - before_ns);
         self.turns.served(&mut seat.share, seat.update_ns);
         seat.overlap.note(StepTimes { device_ns, placement_ns: cpu_ns, encode_ns: seat.encode_ns });
-        Some(UpdateCost { took_ns: seat.update_ns, viewers })
+        Some(UpdateCost { took_ns: seat.update_ns, apart_ns, viewers })
     }
 
     /// What is next.
@@ -231,9 +248,16 @@ impl<V: Copy + Ord> Scheduler<V> {
     /// device time; of equals the one that waits longest.
     fn next_to_begin<S: Situation<V>>(&mut self, now_ns: i64, situation: &mut S) -> Option<V> {
         let mut next: Option<([i64; 2], V)> = None;
-        for (viewer, seat) in &self.seats {
-            let Some(due_ns) = seat.due_ns.filter(|due_ns| *due_ns <= now_ns) else { continue };
-            if seat.is_made || seat.would_wait(now_ns) || !situation.is_open(*viewer, now_ns) {
+        for (viewer, seat) in &mut self.seats {
+            let Some(due_ns) = seat.due_ns.filter(|due_ns| *due_ns <= now_ns) else {
+                seat.was_held_back = true;
+                continue;
+            };
+            if seat.is_made || seat.would_wait(now_ns) {
+                continue;
+            }
+            if !situation.is_open(*viewer, now_ns) {
+                seat.was_held_back = true;
                 continue;
             }
             let order = [self.turns.order(seat.share), due_ns];

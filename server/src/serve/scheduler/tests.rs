@@ -49,6 +49,8 @@ impl Desk {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 enum Done {
     Made(u32, Step),
+    /// What an update took, once it is collected.
+    Cost(u32, UpdateCost),
     HandedOver(u32),
 }
 
@@ -72,8 +74,9 @@ fn play(viewers_ns: &[i64], closed: &[u32], encode_ns: i64, for_ns: i64) -> Vec<
             Action::Make(viewer, step) => {
                 desk.make(viewer, step);
                 let device_ns = (step == Step::Collect).then(|| desk.device_ns[&viewer]);
-                scheduler.completed((viewer, step), 0, device_ns, now_ns);
+                let cost = scheduler.completed((viewer, step), 0, device_ns, now_ns);
                 done.push((now_ns, Done::Made(viewer, step)));
+                done.extend(cost.map(|cost| (now_ns, Done::Cost(viewer, cost))));
             }
             Action::HandOver(viewer) => {
                 assert!(encoding.insert(viewer, now_ns + encode_ns).is_none(), "the encoder is busy");
@@ -115,7 +118,7 @@ fn updates_of_two_viewers_are_never_in_flight_together() {
             }
             Done::Made(viewer, Step::Collect) => assert_eq!(in_flight.take(), Some(viewer), "at {at_ns} ns"),
             Done::Made(viewer, _) => assert_eq!(in_flight, Some(viewer), "at {at_ns} ns"),
-            Done::HandedOver(_) => {}
+            Done::Cost(..) | Done::HandedOver(_) => {}
         }
     }
 }
@@ -136,6 +139,26 @@ fn a_slow_encoder_paces_its_viewer_and_no_update_is_left_out() {
         waiting += i32::from(what == Done::Made(0, Step::Collect)) - i32::from(what == Done::HandedOver(0));
         assert!((0..=1).contains(&waiting));
     }
+}
+
+/// Times from one update of viewer 0 to its next, as they are reported, milliseconds.
+fn apart_ms(done: &[(i64, Done)]) -> Vec<Option<i64>> {
+    let apart = done.iter().filter_map(|(_, what)| match what {
+        Done::Cost(0, cost) => Some(cost.apart_ns.map(|apart_ns| apart_ns / MS)),
+        _ => None,
+    });
+    apart.skip(8).collect()
+}
+
+#[test]
+fn how_far_updates_are_apart_counts_where_this_machine_is_the_bound() {
+    // The device takes 40 ms, the encoder 90: updates are as far apart as the encoder says, and cost less.
+    let slow = apart_ms(&play(&[40 * MS], &[], 90 * MS, 4000 * MS));
+    assert!(slow.iter().all(|apart| apart.is_some_and(|ms| (85..=95).contains(&ms))), "{slow:?}");
+    let fast = apart_ms(&play(&[10 * MS], &[], 5 * MS, 2000 * MS));
+    assert!(fast.iter().all(Option::is_none), "a period holds them back: {fast:?}");
+    let shared = apart_ms(&play(&[40 * MS, 40 * MS], &[], 5 * MS, 4000 * MS));
+    assert!(shared.iter().flatten().all(|ms| (75..=85).contains(ms)), "{shared:?}");
 }
 
 #[test]

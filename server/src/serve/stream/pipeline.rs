@@ -490,7 +490,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         let cost = self.scheduler.completed((peer, step), cpu_ns, shaded.as_ref().map(device_ns), now_ns);
         let Some((shaded, cost)) = shaded.zip(cost) else { return Ok(()) };
         client.stats.busy_s += cost.took_ns as f64 * 1e-9;
-        client.viewer.note_update(cost.shared_s());
+        client.viewer.note_update(cost.shared_s(), cost.apart_s());
         self.of_pipeline.ended("update", self.epoch_ns + shaded.time.0, Some(shaded.update));
         self.of_device.ended(&shaded.timings, shaded.update);
         self.stats.add_gpu(&shaded.timings);

@@ -186,6 +186,25 @@ fn the_error_that_is_allowed_shrinks_again_when_there_is_room() {
 }
 
 #[test]
+fn on_a_slow_device_lods_change_one_after_the_other_and_all_do() {
+    for (instances, most) in [(3, 1), (40, 10)] {
+        let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 6); instances]);
+        let far = update(&mut detail, &vec![10.0; instances], 0.5);
+        detail.change_gradually(true);
+        let mut before = far.clone();
+        let mut updates = 0;
+        while before != vec![0; instances] {
+            let lods = update(&mut detail, &vec![100.0; instances], 0.5);
+            let changed = lods.iter().zip(&before).filter(|(now, before)| now != before).count();
+            assert!(changed <= most, "{changed} of {instances} in an update");
+            (before, updates) = (lods, updates + 1);
+            assert!(updates <= 4 * 4 * instances.div_ceil(most), "not all change");
+        }
+        assert!(updates > 4, "{far:?}");
+    }
+}
+
+#[test]
 fn what_is_measured_not_to_fit_is_made_coarser_in_the_same_update() {
     let room = Room { patches: 100_000, ..ROOM };
     let mut detail = Detail::new(1.0, PIXELS_PER_RADIAN, vec![chain(1000, 0.01, 3); 4]);

@@ -320,7 +320,7 @@ impl Seat {
         let device_ns = shaded.as_ref().map(|_| server.device.update_ns());
         let cost = server.scheduler.completed((peer, step), cpu_ns, device_ns, now_ns);
         if let (Some(cost), Some(shaded)) = (cost, shaded) {
-            viewer.note_update(cost.shared_s());
+            viewer.note_update(cost.shared_s(), cost.apart_s());
             self.collected(server, shaded, now_ns)?;
         }
         Ok(())
