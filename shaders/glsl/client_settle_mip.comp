@@ -1,12 +1,17 @@
 #version 460
 #extension GL_GOOGLE_include_directive : require
-// A mip level of blocks in the store, of the level below it. Each texel is the mean of four of its own block.
+// A mip level of blocks in the store, of the level below it. Each texel is the mean of the light of four of its own block.
 // Twin: twin/settle.rs.
 layout(local_size_x = 64) in;
 #include "client_settle.glsl"
+#include "environment.glsl"
 
 layout(binding = 1, rgba8) writeonly uniform image2DArray written;
 layout(binding = 2, rgba8) readonly uniform image2DArray finer;
+
+vec3 light_at(ivec3 place) {
+    return linear_from_srgb(imageLoad(finer, place).rgb);
+}
 
 void main() {
     SettleTileGpu tile = tiles[first_tile + gl_WorkGroupID.x];
@@ -15,7 +20,6 @@ void main() {
     bool is_inside = number < side * side && all(lessThan(at, block_extent(tile) >> level));
     if (level > highest_level(tile) || !is_inside) return;
     ivec3 place = ivec3((texel_of(tile.to) >> level) + at, layer_of(tile)), first = place * ivec3(2, 2, 1);
-    vec4 sum = imageLoad(finer, first) + imageLoad(finer, first + ivec3(1, 0, 0))
-        + imageLoad(finer, first + ivec3(0, 1, 0)) + imageLoad(finer, first + ivec3(1, 1, 0));
-    imageStore(written, place, sum * 0.25);
+    vec3 sum = light_at(first) + light_at(first + ivec3(1, 0, 0)) + light_at(first + ivec3(0, 1, 0)) + light_at(first + ivec3(1, 1, 0));
+    imageStore(written, place, vec4(srgb_from_linear(sum * 0.25), 1.0));
 }

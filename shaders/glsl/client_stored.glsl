@@ -21,9 +21,9 @@ bool is_stored() {
 }
 
 vec4 stored_color(vec4 footprint) {
-    return displayed(store_linear(atlas_texel, block, stored.x, store_level(footprint, stored.y)));
+    return vec4(store_linear(atlas_texel, block, stored.x, store_level(footprint, stored.y)), 1.0);
 }
 
 vec4 stored_cubic_color(vec4 footprint) {
-    return displayed(store_cubic(atlas_texel, block, stored.x, store_level(footprint, stored.y)));
+    return vec4(store_cubic(atlas_texel, block, stored.x, store_level(footprint, stored.y)), 1.0);
 }

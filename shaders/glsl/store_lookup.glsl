@@ -1,4 +1,4 @@
-// How a colour is looked up in the store: gamma-encoded as in the picture, between the texels and mip levels of one block.
+// How a colour is looked up in the store: linear, between the texels and mip levels of one block.
 // Twin: twin/store_lookup.rs.
 #ifndef STORE_LOOKUP_GLSL
 #define STORE_LOOKUP_GLSL

@@ -44,6 +44,16 @@ pub(crate) fn byte(value: f32) -> u8 {
     (value.clamp(0.0, 1.0) * 255.0).round() as u8
 }
 
+/// Of a channel, 0..1 (IEC 61966-2-1).
+pub fn linear_from_srgb(c: f32) -> f32 {
+    if c > 0.04045 { ((c + 0.055) / 1.055).powf(2.4) } else { c / 12.92 }
+}
+
+/// Its inverse.
+pub fn srgb_from_linear(c: f32) -> f32 {
+    if c > 0.003_130_8 { 1.055 * c.powf(1.0 / 2.4) - 0.055 } else { 12.92 * c }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

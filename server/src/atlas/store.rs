@@ -12,20 +12,22 @@ use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::STORE_PAGE_SIDE;
 use std::collections::{BTreeMap, VecDeque};
 
-/// Updates since a block was shaded before it settles: it has been coded more than once, and a shadow that passes is gone.
-const SETTLES_AFTER_UPDATES: u32 = 6;
+/// Updates since a block was shaded before it settles: a head that turns sees each block anew, and soon.
+const SETTLES_AFTER_UPDATES: u32 = 1;
 /// The wait doubles each time that a copy turns out stale, so often at most: what keeps changing is cheaper in the atlas.
 const MOST_DOUBLED: u8 = 6;
 /// Updates whose quantisers are remembered.
 const REMEMBERED_UPDATES: usize = 64;
-/// A copy is made anew where pictures are finer than when it was made, by so many steps of the quantiser: its error is halved.
-const FINER_STEPS: u8 = 6;
+/// A copy is made anew where pictures are finer than when it was made, by so many steps of the quantiser: its error is two thirds.
+const FINER_STEPS: u8 = 4;
 /// A copy made with this quantiser or a finer one stays.
 const FINE_QP: u8 = 20;
 /// Part of the texels of the atlas that settle with an update at most: the client copies them in one display frame.
 const MOST_SETTLED_PART: u64 = 20;
 /// The same for copies that are given up in view with an update, for a finer one.
-const MOST_RENEWED_PART: u64 = 64;
+const MOST_RENEWED_PART: u64 = 16;
+/// Steps of width and height together by which a block would be larger than its copy for another to take its place.
+const OUTGROWN_STEPS: u8 = 2;
 /// Where there is no place, room is made for so many copies at once.
 const EVICTED_TOGETHER: usize = 256;
 
@@ -44,6 +46,8 @@ pub(crate) struct Store {
     qps: VecDeque<(UpdateId, u8)>,
     /// Texels that may still be renewed with this update.
     renewable_texels: u64,
+    /// Where the next update begins to look for what may settle.
+    next: ScenePatch,
     atlas_texels: u64,
 }
 
@@ -89,7 +93,11 @@ impl Store {
         let newest_qp = self.qps.front().map(|(_, qp)| *qp);
         let copy = self.copies.get(&patch)?;
         let (size, wanted) = (copy.block.size, wanted(copy.block.size));
-        let outgrown = wanted.width_log2 > size.width_log2 || wanted.height_log2 > size.height_log2;
+        let [wider, higher] = [
+            wanted.width_log2.saturating_sub(size.width_log2),
+            wanted.height_log2.saturating_sub(size.height_log2),
+        ];
+        let outgrown = wider + higher >= OUTGROWN_STEPS;
         let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + FINER_STEPS);
         let texels = u64::from(wanted.texels());
         if copy.settled < update && (outgrown || is_coarse) && texels <= self.renewable_texels {
@@ -175,26 +183,29 @@ impl Store {
         });
     }
 
-    /// The blocks in view that settle with an update: given with their blocks in the atlas, ascending; those seen largest first would be
-    /// no better, since all follow within a second. `put` takes each with its place.
+    /// The blocks in view that settle with an update: given with their blocks in the atlas, ascending. Each update goes on where the one
+    /// before had no room. `put` takes each with its place.
     pub(crate) fn settle(
         &mut self,
         update: UpdateId,
-        live: impl Iterator<Item = (ScenePatch, Block)>,
+        live: impl Iterator<Item = (ScenePatch, Block)> + Clone,
         mut put: impl FnMut(ScenePatch, Block),
     ) {
         if self.pages.is_empty() {
             return;
         }
         let mut left_texels = self.atlas_texels / MOST_SETTLED_PART;
-        for (patch, block) in live {
+        let first = std::mem::take(&mut self.next);
+        let from_first = live.clone().filter(|(patch, _)| *patch >= first);
+        for (patch, block) in from_first.chain(live.filter(|(patch, _)| *patch < first)) {
             let texels = u64::from(block.size.texels());
             let shaded = self.shaded[patch.index()];
             let after = SETTLES_AFTER_UPDATES << self.stale[patch.index()];
-            if texels > left_texels || shaded == 0 || update.0 < shaded - 1 + after {
+            if shaded == 0 || update.0 < shaded - 1 + after || self.copies.contains_key(&patch) {
                 continue;
             }
-            if self.copies.contains_key(&patch) {
+            if texels > left_texels {
+                self.next = if self.next == ScenePatch(0) { patch } else { self.next };
                 continue;
             }
             let Some(qp) = self.finest_qp_since(UpdateId(shaded - 1)) else { continue };

@@ -101,12 +101,11 @@ impl Gloss {
         self.steps_by_octave * footprint
     }
 
-    /// The same where the texture was filtered for more than a pixel covers now; for less, a copy in the store has coarser ones.
+    /// The same where the texture was filtered for more than a pixel covers now; for less, a copy in the store has coarser levels. Where the
+    /// head looks does not count: at the border of a view pixels are finer than in its middle, and every turn would ask for new copies.
     pub(crate) fn blurred_steps(&self, then: &Seen, now: &Seen) -> f32 {
         let finer = |then: f32, now: f32| (then / now).log2().max(0.0);
-        let footprint = finer(then.distance_m, now.distance_m)
-            + 2.0 * finer(then.axis_cosine, now.axis_cosine)
-            + finer(now.facing_cosine, then.facing_cosine);
+        let footprint = finer(then.distance_m, now.distance_m) + finer(now.facing_cosine, then.facing_cosine);
         self.steps_by_octave * footprint
     }
 }
@@ -273,7 +272,7 @@ mod tests {
             gloss.blurred_steps(&seen(a), &seen(b))
         };
         assert!(blurred(from, at(0.0, 1.0, 0.0)) >= 10.0 && blurred(from, at(0.0, 4.0, 0.0)) == 0.0);
-        assert!(blurred(from, at(0.0, 2.0, 0.5)) > 1.0 && blurred(at(0.0, 2.0, 0.5), from) == 0.0);
+        assert_eq!(blurred(from, at(0.0, 2.0, 0.5)), 0.0, "where the head looks does not count");
         assert!(blurred(at(3.0, 2.0, 0.0), at(0.0, 3.6, 0.0)) > 1.0, "less edge on");
         assert!(steps(from, at(0.0, 0.0, 0.0)).is_finite() && steps(from, at(0.0, -2.0, 0.0)).is_finite());
     }

@@ -18,6 +18,13 @@ use std::cmp::Reverse;
 
 /// Steps of an 8-bit display value by which a block may look different from where the head is now.
 pub(crate) const SEEN_STEPS: f32 = 1.5;
+/// A copy in the store may differ by more where pictures are coded coarsely: with a quantiser beyond this one, twice as much for each so many
+/// of its steps, up to this many times.
+const FINE_QP: u8 = 22;
+const QP_OF_TWICE: f32 = 3.0;
+const MOST_TIMES: f32 = 16.0;
+/// Up to this part of it what a copy mirrors is bounded; beyond, it is evaluated.
+const BOUNDED_PART: f32 = 0.4;
 /// Updates after which a block that waits goes before all others but new ones.
 pub(crate) const PATIENCE_UPDATES: u32 = 8;
 /// Part of what an update may shade that is left to what waits, however much is new.
@@ -189,6 +196,8 @@ pub(crate) struct Reuse<S> {
     order: Vec<u32>,
     due: Vec<Due>,
     update: u32,
+    /// Steps by which a copy in the store may differ.
+    stored_steps: f32,
     reused: Reused,
     /// Texels of all updates: of all blocks, and of those that were shaded.
     total_texels: [u64; 2],
@@ -208,6 +217,7 @@ impl<S: PartialEq + Default> Reuse<S> {
             order: Vec::new(),
             due: Vec::new(),
             update: 0,
+            stored_steps: SEEN_STEPS,
             reused: Reused::default(),
             total_texels: [0; 2],
         }
@@ -232,6 +242,12 @@ impl<S: PartialEq + Default> Reuse<S> {
         self.choose(budget_texels);
         self.shade(world_from_head, surfaces);
         &self.due
+    }
+
+    /// Pictures are coded with this quantiser.
+    pub(crate) fn coded(&mut self, qp: u8) {
+        let coarser = f32::from(qp.saturating_sub(FINE_QP)) / QP_OF_TWICE;
+        self.stored_steps = SEEN_STEPS * coarser.exp2().min(MOST_TIMES);
     }
 
     /// What the last update shaded, ascending.
@@ -321,6 +337,7 @@ impl<S: PartialEq + Default> Reuse<S> {
     /// Whether a block is due, and by how much it looks different.
     fn judge(&mut self, at: usize, world_from_head: Pose, surfaces: &impl Surfaces) {
         let record = &mut self.records[at];
+        let allowed_steps = if record.block.is_stored() { self.stored_steps } else { SEEN_STEPS };
         if self.moved[record.instance as usize] {
             (record.receiver, record.evaluated) = (None, None);
         }
@@ -345,10 +362,10 @@ impl<S: PartialEq + Default> Reuse<S> {
         let [lit, filtered] = if lasting.is_some() {
             [CHANGED_STEPS, 0.0]
         } else {
-            record.seen_steps(world_from_head, surfaces)
+            record.seen_steps(world_from_head, surfaces, allowed_steps)
         };
         record.steps = lit + filtered;
-        let cause = lasting.or_else(|| (record.steps > SEEN_STEPS).then_some(Cause::Seen));
+        let cause = lasting.or_else(|| (record.steps > allowed_steps).then_some(Cause::Seen));
         record.reason = match cause {
             Some(Cause::Moved) => Reason::Moving,
             Some(Cause::Seen) if filtered > lit => Reason::Refiltered,
@@ -446,9 +463,15 @@ impl Record {
     }
 
     /// By how much it looks different from a head than from that it was shaded for, steps of the display: by what it reflects, and
-    /// by what a pixel covers.
-    fn seen_steps(&mut self, world_from_head: Pose, surfaces: &impl Surfaces) -> [f32; 2] {
-        if self.is_hidden || self.world_from_head == world_from_head {
+    /// by what a pixel covers. Beyond `allowed_steps` a bound will do. A copy in the store that nobody sees is looked at when it is seen.
+    fn seen_steps(
+        &mut self,
+        world_from_head: Pose,
+        surfaces: &impl Surfaces,
+        allowed_steps: f32,
+    ) -> [f32; 2] {
+        let is_kept = self.is_around && self.block.is_stored();
+        if self.is_hidden || is_kept || self.world_from_head == world_from_head {
             return [0.0; 2];
         }
         let moved_m = self.world_from_head.position.distance(world_from_head.position);
@@ -464,32 +487,35 @@ impl Record {
             true => receiver.gloss.blurred_steps(&then, &now),
             false => receiver.gloss.filtered_steps(&then, &now),
         };
-        if filtered > SEEN_STEPS {
+        if filtered > allowed_steps {
             return [0.0, filtered];
         }
-        let mirrored = self.mirrored_steps(&receiver, (&then, &now), world_from_head, surfaces.still_light());
+        let bounded_steps = if block.is_stored() { BOUNDED_PART * allowed_steps } else { allowed_steps };
+        let light = surfaces.still_light();
+        let mirrored = self.mirrored_steps(&receiver, (&then, &now), world_from_head, light, bounded_steps);
         [mirrored, filtered]
     }
 
-    /// The same of what it mirrors: the bound; of a copy in the store, where that is large, evaluated, which holds until the bound from
-    /// there is large.
+    /// The same of what it mirrors: the bound; of a copy in the store, where that is beyond `bounded_steps`, evaluated, which holds until the
+    /// bound from there is, too.
     fn mirrored_steps(
         &mut self,
         receiver: &Receiver,
         (then, now): (&Seen, &Seen),
         world_from_head: Pose,
         light: &StillLight,
+        bounded_steps: f32,
     ) -> f32 {
         let gloss = &receiver.gloss;
         let way_m = |head: Pose| head.position.distance(world_from_head.position);
         let bound = gloss.mirrored_steps(then, now, way_m(self.world_from_head));
-        if bound <= SEEN_STEPS || !self.block.is_stored() {
+        if bound <= bounded_steps || !self.block.is_stored() {
             return bound;
         }
         if let Some((at, steps)) = self.evaluated {
             let seen_there = Seen::from(at, receiver.centre, receiver.radius_m, receiver.normal);
             let since = steps + gloss.mirrored_steps(&seen_there, now, way_m(at));
-            if since <= SEEN_STEPS {
+            if since <= bounded_steps {
                 return since.min(bound);
             }
         }

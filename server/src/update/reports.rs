@@ -50,6 +50,7 @@ impl ViewerUpdates {
     /// An update's picture is coded with this quantiser.
     pub(crate) fn coded(&mut self, update: UpdateId, qp: u8) {
         self.placement.coded(update, qp);
+        self.shading.coded(qp);
     }
 
     /// The client has no picture of updates later than this one, if it has that.

@@ -99,6 +99,11 @@ impl ShadingStep {
         self.budget_texels = texels;
     }
 
+    /// Pictures are coded with this quantiser.
+    pub(crate) fn coded(&mut self, qp: u8) {
+        self.reuse.coded(qp);
+    }
+
     /// What updates do without from now on.
     pub(crate) fn set_measures(&mut self, measures: Measures) {
         self.measures = measures;

@@ -1,6 +1,7 @@
 //! Twin of `client_settle.comp` and `client_settle_mip.comp`: a block of a picture, and its mip levels, as the store keeps them.
 
 use super::atlas_lookup::{Plane, inside_block};
+use crate::color::{linear_from_srgb, srgb_from_linear};
 use crate::constants::STORE_LEVELS;
 use glam::{Vec2, Vec3};
 use shadecast_protocol::atlas::Block;
@@ -51,7 +52,8 @@ fn coarser(finer: &[Vec3], width: usize) -> LevelTexels {
     let rows = finer.chunks_exact(2 * width);
     let mean = |two_rows: &[Vec3], x: usize| {
         let [a, b] = [2 * x, 2 * x + width];
-        (two_rows[a] + two_rows[a + 1] + two_rows[b] + two_rows[b + 1]) * 0.25
+        let light = [a, a + 1, b, b + 1].map(|at| two_rows[at].map(linear_from_srgb));
+        (light.into_iter().sum::<Vec3>() * 0.25).map(srgb_from_linear)
     };
     rows.flat_map(|two_rows| (0..width / 2).map(move |x| mean(two_rows, x))).collect()
 }

@@ -4,7 +4,7 @@ use super::atlas_lookup::{BlockRect, Plane};
 use glam::Vec2;
 use shadecast_protocol::limits::BLOCK_INSET_TEXELS;
 
-/// One channel of a page: its mip levels, the finest first.
+/// One channel of a page, linear: its mip levels, the finest first.
 pub struct Levels(pub Vec<Plane>);
 
 /// The level at which a texel is half as large as a pixel, by how far the next pixels across and down lie, texels.

@@ -100,6 +100,8 @@ pub struct ImageDesc {
     pub samples: vk::SampleCountFlags,
     /// Format.
     pub format: vk::Format,
+    /// Samplers see all of it in this format, as large as the other; levels keep that. Storage images have no sRGB formats.
+    pub sampled_format: Option<vk::Format>,
     /// Usage.
     pub usage: vk::ImageUsageFlags,
 }
@@ -108,7 +110,17 @@ impl ImageDesc {
     /// One layer, one mip level, one sample.
     pub fn new(name: &'static str, extent: [u32; 2], format: vk::Format, usage: vk::ImageUsageFlags) -> Self {
         let samples = vk::SampleCountFlags::TYPE_1;
-        Self { name, extent, layers: 1, is_array: false, mips: 1, samples, format, usage }
+        Self {
+            name,
+            extent,
+            layers: 1,
+            is_array: false,
+            mips: 1,
+            samples,
+            format,
+            sampled_format: None,
+            usage,
+        }
     }
 }
 
@@ -345,7 +357,12 @@ impl Image {
     /// The same, seen through a conversion where there is one.
     pub(crate) fn allocated(gpu: &Arc<Gpu>, desc: ImageDesc, view: YcbcrView) -> Result<Self, GpuError> {
         check_extent(gpu.limits(), &desc)?;
+        let flags = match desc.sampled_format {
+            Some(_) => vk::ImageCreateFlags::MUTABLE_FORMAT | vk::ImageCreateFlags::EXTENDED_USAGE,
+            None => vk::ImageCreateFlags::empty(),
+        };
         let info = vk::ImageCreateInfo::default()
+            .flags(flags)
             .image_type(vk::ImageType::TYPE_2D)
             .format(desc.format)
             .extent(vk::Extent3D { width: desc.extent[0], height: desc.extent[1], depth: 1 })
@@ -516,13 +533,17 @@ pub(crate) fn create_view(
     };
     let with = |conversion| vk::SamplerYcbcrConversionInfo::default().conversion(conversion);
     let mut conversion = view.0.map(with);
+    let mut usage = vk::ImageViewUsageCreateInfo::default().usage(vk::ImageUsageFlags::SAMPLED);
     let mut info = vk::ImageViewCreateInfo::default()
         .image(image)
         .view_type(kind)
-        .format(desc.format)
+        .format(desc.sampled_format.unwrap_or(desc.format))
         .subresource_range(whole(desc, first_layer, layers));
     if let Some(conversion) = &mut conversion {
         info = info.push_next(conversion);
+    }
+    if desc.sampled_format.is_some() {
+        info = info.push_next(&mut usage);
     }
     // SAFETY: the image is alive and has the layers and mips that its description says.
     unsafe { gpu.device().create_image_view(&info, None) }.doing("creating an image view")

@@ -18,6 +18,8 @@ use std::sync::Arc;
 
 /// Red, green and blue, gamma-encoded as in the picture.
 const FORMAT: vk::Format = vk::Format::R8G8B8A8_UNORM;
+/// The same for lookups, which are between linear values: light adds up in these alone.
+const SAMPLED_FORMAT: vk::Format = vk::Format::R8G8B8A8_SRGB;
 /// Tiles of a dispatch: workgroups that every device has.
 const TILES_PER_DISPATCH: u32 = 8192;
 /// Its layout when it is looked up, and when it is written.
@@ -63,7 +65,10 @@ impl Store {
             | vk::ImageUsageFlags::TRANSFER_SRC;
         let side = if pages == 0 { 1 } else { STORE_PAGE_SIDE };
         let mips = if pages == 0 { 1 } else { STORE_LEVELS };
-        let desc = ImageDesc::new("store", [side; 2], FORMAT, usage);
+        let desc = ImageDesc {
+            sampled_format: Some(SAMPLED_FORMAT),
+            ..ImageDesc::new("store", [side; 2], FORMAT, usage)
+        };
         let image = Image::new(gpu, ImageDesc { layers: pages.max(1), is_array: true, mips, ..desc })?;
         let cleared = vk::ImageLayout::TRANSFER_DST_OPTIMAL;
         let layouts = [vk::ImageLayout::UNDEFINED, cleared];

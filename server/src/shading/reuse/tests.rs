@@ -320,6 +320,35 @@ fn a_copy_that_is_not_shown_is_not_stale_for_a_head_that_moves() {
 }
 
 #[test]
+fn a_copy_may_differ_by_more_where_pictures_are_coded_coarsely_and_a_block_may_not() {
+    let moves = |qp: u8, placed: Vec<Placed>| {
+        let (row, mut reuse) = (row(), Reuse::new(true));
+        due(&mut reuse, &row, row.moment([0; 4]), &all());
+        reuse.coded(qp);
+        let head = Pose { position: HEAD.position + Vec3::X * 0.5, ..HEAD };
+        let moment = row.moment([0; 4]);
+        let due = reuse.due(|now| *now = moment, head, placed.into_iter(), &row, u64::MAX);
+        let blocks = due.iter().filter(|due| (10..20).contains(&due.patch.0)).count();
+        (blocks, stale(&reuse).len())
+    };
+    assert_eq!([10, 22, 34].map(|qp| moves(qp, settled(false))), [(0, 7), (0, 7), (0, 0)]);
+    assert_eq!([10, 34].map(|qp| moves(qp, all())), [(7, 0); 2]);
+}
+
+#[test]
+fn a_copy_out_of_view_is_judged_when_it_is_seen() {
+    let (row, mut reuse) = (row(), Reuse::new(true));
+    due(&mut reuse, &row, row.moment([0; 4]), &all());
+    let head = Pose { position: HEAD.position + Vec3::X * 2.0, ..HEAD };
+    for (is_around, count) in [(true, 0), (false, 10)] {
+        let placed = settled(false).into_iter().map(|placed| Placed { is_around, ..placed });
+        let moment = row.moment([0; 4]);
+        reuse.due(|now| *now = moment, head, placed, &row, u64::MAX);
+        assert_eq!(stale(&reuse).len(), count);
+    }
+}
+
+#[test]
 fn a_rough_copy_is_stale_by_what_it_mirrors_and_not_by_its_bound() {
     // In the dark: by its bound each of them looks different, by what it mirrors none.
     let shine = Shine { roughness: 0.8, reflectance: 0.04, diffuse: 0.5 };

@@ -18,6 +18,7 @@ use shadecast_protocol::memory::ResidentPatch;
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, Pose};
+use shadecast_shaders::color::linear_from_srgb;
 use shadecast_shaders::twin::atlas_lookup::{Plane, inside_block};
 
 const SIDE: u32 = 128;
@@ -234,10 +235,6 @@ fn noise() -> (Picture, Plane) {
     let chroma = vec![128; luma.len() / 2];
     let picture = I420::new(ATLAS.texels(), [luma, chroma].concat()).unwrap();
     (Picture::Planes(picture), Plane { width: width as usize, values })
-}
-
-fn linear_from_srgb(c: f32) -> f32 {
-    if c > 0.04045 { ((c + 0.055) / 1.055).powf(2.4) } else { c / 12.92 }
 }
 
 #[test]
