@@ -7,7 +7,6 @@ mod around;
 mod density;
 mod served;
 
-use crate::atlas::allocator::Atlas;
 use crate::atlas::capacity::{Candidate, Chooser};
 use crate::atlas::layout::density::{DensityStep, Sizes};
 use crate::atlas::placement::{Placed, PlacementChange};
@@ -21,6 +20,7 @@ use crate::scene::numbering::ScenePatch;
 use crate::support::merged::merged;
 use crate::visibility::holding::HOLD_UPDATES;
 use crate::visibility::lod_set::{LodInstance, LodSet};
+use shadecast_protocol::atlas::allocator::Atlas;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::BLOCK_MIN_LOG2;

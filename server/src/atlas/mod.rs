@@ -4,7 +4,6 @@
 
 pub(crate) mod placement;
 pub(crate) mod capacity;
-pub(crate) mod allocator;
 pub(crate) mod sizing;
 pub(crate) mod store;
 pub mod surround;

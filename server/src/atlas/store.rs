@@ -5,8 +5,8 @@
 //! until their place is needed: those go first that were not shown for longest. A place is given to another copy once the client shows no
 //! update any more that names it.
 
-use crate::atlas::allocator::Atlas;
 use crate::scene::numbering::ScenePatch;
+use shadecast_protocol::atlas::allocator::Atlas;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::STORE_PAGE_SIDE;

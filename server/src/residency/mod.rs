@@ -18,11 +18,12 @@ use crate::residency::retained::Retained;
 use crate::residency::slots::Slots;
 use crate::scene::geometry::{Geometry, vertices_of_patch};
 use crate::scene::numbering::{ScenePatch, SceneVertex};
-use crate::support::bit_set::BitSet;
+
 use crate::support::lock::lock;
 use crate::support::merged::merged;
 use crate::support::pool::Pool;
 use shadecast_protocol::atlas::Block;
+use shadecast_protocol::bit_set::BitSet;
 use shadecast_protocol::delta::{DeltaEncoder, EncodedDelta};
 use shadecast_protocol::geometry::{GeometryDelta, Motion, NewPatch, NewVertex};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};

@@ -1,6 +1,6 @@
 //! Free slots of the client's memory. A freed slot waits for the display of the update that freed it.
 
-use crate::support::bit_set::BitSet;
+use shadecast_protocol::bit_set::BitSet;
 use shadecast_protocol::ids::UpdateId;
 use std::collections::VecDeque;
 

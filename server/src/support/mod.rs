@@ -1,6 +1,5 @@
 //! Collections and helpers that know nothing of the product.
 
-pub(crate) mod bit_set;
 pub mod lock;
 pub(crate) mod merged;
 pub(crate) mod named;

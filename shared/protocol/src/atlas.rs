@@ -1,7 +1,9 @@
 //! Addressing of the shading atlas and of the store: the place of a patch's block, and the area that a lookup may reach.
 //!
-//! Server (shading), client (lookup) and the shaders of both agree here to the texel. The module does not assign blocks: the
-//! server's allocator does.
+//! Server (shading), client (lookup) and the shaders of both agree here to the texel. Which block a patch has is the server's
+//! choice; [`allocator`] says which are free.
+
+pub mod allocator;
 
 pub use shadecast_model::patch::PatchKind;
 

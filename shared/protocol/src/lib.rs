@@ -3,6 +3,7 @@
 #![forbid(unsafe_code)]
 
 pub mod atlas;
+pub mod bit_set;
 pub mod clock;
 pub mod close;
 pub mod coverage;

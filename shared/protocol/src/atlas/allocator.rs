@@ -3,9 +3,9 @@
 //! Blocks keep their address while patch and size stay. The allocator is deterministic: the lowest free address
 //! wins. It knows nothing of patches, LODs or time.
 
-use crate::support::bit_set::BitSet;
-use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
-use shadecast_protocol::limits::{BLOCK_MAX_LOG2, BLOCK_MIN_LOG2, SUPERBLOCK_MIN_LOG2};
+use super::{AtlasExtent, Block, BlockAddress, BlockSize};
+use crate::bit_set::BitSet;
+use crate::limits::{BLOCK_MAX_LOG2, BLOCK_MIN_LOG2, SUPERBLOCK_MIN_LOG2};
 
 const CELL_LOG2: u32 = SUPERBLOCK_MIN_LOG2;
 const SUPERBLOCK_SIDES: usize = (BLOCK_MAX_LOG2 - SUPERBLOCK_MIN_LOG2 + 1) as usize;
@@ -16,7 +16,7 @@ const MAX_PLACES_WORDS: usize = 4;
 
 /// Which blocks of an atlas are free.
 #[derive(Clone, Debug)]
-pub(crate) struct Atlas {
+pub struct Atlas {
     extent: AtlasExtent,
     /// Cells of free superblock corners by size: 64, 128, 256, 512.
     free: [BitSet; SUPERBLOCK_SIDES],
@@ -64,7 +64,7 @@ impl Superblock {
 
 impl Atlas {
     /// An empty atlas.
-    pub(crate) fn new(extent: AtlasExtent) -> Self {
+    pub fn new(extent: AtlasExtent) -> Self {
         let largest = 1 << BLOCK_MAX_LOG2;
         let cells = extent.texels().map(|side| side >> CELL_LOG2).iter().product::<u32>() as usize;
         let smallest = BlockSize::new(BLOCK_MIN_LOG2 as u8, BLOCK_MIN_LOG2 as u8).expect("a size");
@@ -96,28 +96,28 @@ impl Atlas {
     }
 
     /// What it was made for.
-    pub(crate) fn extent(&self) -> AtlasExtent {
+    pub fn extent(&self) -> AtlasExtent {
         self.extent
     }
 
     /// Width and height in texels.
-    pub(crate) fn extent_texels(&self) -> [u32; 2] {
+    pub fn extent_texels(&self) -> [u32; 2] {
         self.extent.texels()
     }
 
     /// Texels inside blocks that are in use.
-    pub(crate) fn used_texels(&self) -> u64 {
+    pub fn used_texels(&self) -> u64 {
         self.used_texels
     }
 
     /// What the blocks are like in each cell of the smallest superblock's side, in rows: width | height << 16, in texels. All
     /// blocks of a cell are alike, and lie at multiples of their sides. What is free is as it was.
-    pub(crate) fn cell_extents(&self) -> &[u32] {
+    pub fn cell_extents(&self) -> &[u32] {
         &self.cell_extents
     }
 
     /// A block of this size, or `None` where the atlas is full.
-    pub(crate) fn allocate(&mut self, size: BlockSize) -> Option<Block> {
+    pub fn allocate(&mut self, size: BlockSize) -> Option<Block> {
         let corner = match self.open[index_of(size)].first() {
             Some(cell) => self.corner(cell),
             None => self.open_superblock(size)?,
@@ -135,7 +135,7 @@ impl Atlas {
     }
 
     /// This very block, where it is free.
-    pub(crate) fn take(&mut self, block: Block) -> bool {
+    pub fn take(&mut self, block: Block) -> bool {
         let (corner, side_log2) = (self.superblock_of(block), side_log2(block.size));
         if self.superblock(corner).is_none() {
             if !self.take_superblock_at(corner, (side_log2 - CELL_LOG2) as usize) {
@@ -171,7 +171,7 @@ impl Atlas {
     ///
     /// # Panics
     /// The block was not allocated here: a mistake of ours.
-    pub(crate) fn free(&mut self, block: Block) {
+    pub fn free(&mut self, block: Block) {
         let corner = self.superblock_of(block);
         let cell = self.cell(corner);
         let superblock = self.used[cell].as_mut().expect("a block of this atlas");
@@ -279,7 +279,7 @@ impl Atlas {
 
     /// Texels of free superblocks and of free blocks inside superblocks in use.
     #[cfg(test)]
-    pub(crate) fn free_texels(&self) -> u64 {
+    pub fn free_texels(&self) -> u64 {
         let whole: u64 = (0..SUPERBLOCK_SIDES)
             .map(|side_index| {
                 (self.free[side_index].count() as u64) << (2 * (CELL_LOG2 as usize + side_index))

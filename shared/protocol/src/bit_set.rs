@@ -2,7 +2,7 @@
 
 /// Numbers below an end.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(crate) struct BitSet {
+pub struct BitSet {
     words: Vec<u64>,
     count: usize,
     /// No word before this one has a bit set.
@@ -11,12 +11,12 @@ pub(crate) struct BitSet {
 
 impl BitSet {
     /// None of the numbers below `end`.
-    pub(crate) fn none(end: usize) -> Self {
+    pub fn none(end: usize) -> Self {
         Self { words: vec![0; end.div_ceil(64)], count: 0, first_word: 0 }
     }
 
     /// All numbers below `end`.
-    pub(crate) fn all(end: usize) -> Self {
+    pub fn all(end: usize) -> Self {
         let mut set = Self::none(end);
         for number in 0..end {
             set.insert(number);
@@ -25,17 +25,17 @@ impl BitSet {
     }
 
     /// How many numbers are in it.
-    pub(crate) fn count(&self) -> usize {
+    pub fn count(&self) -> usize {
         self.count
     }
 
     /// Whether a number is in it.
-    pub(crate) fn contains(&self, number: usize) -> bool {
+    pub fn contains(&self, number: usize) -> bool {
         self.words[number / 64] >> (number % 64) & 1 != 0
     }
 
     /// Adds a number; false where it was there.
-    pub(crate) fn insert(&mut self, number: usize) -> bool {
+    pub fn insert(&mut self, number: usize) -> bool {
         let is_new = !self.contains(number);
         self.words[number / 64] |= 1 << (number % 64);
         self.count += usize::from(is_new);
@@ -44,7 +44,7 @@ impl BitSet {
     }
 
     /// Takes a number out; false where it was not there.
-    pub(crate) fn remove(&mut self, number: usize) -> bool {
+    pub fn remove(&mut self, number: usize) -> bool {
         let was_there = self.contains(number);
         self.words[number / 64] &= !(1 << (number % 64));
         self.count -= usize::from(was_there);
@@ -52,7 +52,7 @@ impl BitSet {
     }
 
     /// All of them, ascending.
-    pub(crate) fn iter(&self) -> impl Iterator<Item = usize> + '_ {
+    pub fn iter(&self) -> impl Iterator<Item = usize> + '_ {
         let words = self.words.iter().enumerate().skip(self.first_word);
         words.flat_map(|(at, word)| {
             let mut left = *word;
@@ -65,7 +65,7 @@ impl BitSet {
     }
 
     /// The lowest number.
-    pub(crate) fn first(&mut self) -> Option<usize> {
+    pub fn first(&mut self) -> Option<usize> {
         let after = self.words[self.first_word.min(self.words.len())..].iter().position(|word| *word != 0);
         self.first_word = after.map_or(self.words.len(), |after| self.first_word + after);
         let word = self.words.get(self.first_word)?;
@@ -73,7 +73,7 @@ impl BitSet {
     }
 
     /// Takes the lowest number out.
-    pub(crate) fn pop_first(&mut self) -> Option<usize> {
+    pub fn pop_first(&mut self) -> Option<usize> {
         let first = self.first()?;
         self.remove(first);
         Some(first)
@@ -83,17 +83,17 @@ impl BitSet {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use rand::{Rng, SeedableRng, rngs::SmallRng};
+    use crate::testing::Dice;
     use std::collections::BTreeSet;
 
     #[test]
     fn it_holds_what_a_tree_holds() {
-        let mut rng = SmallRng::seed_from_u64(3);
+        let mut dice = Dice::new(3);
         for count in [1, 63, 64, 65, 1000] {
             let (mut set, mut tree) = (BitSet::all(count), (0..count).collect::<BTreeSet<_>>());
             for step in 0..2000 {
-                let number = rng.random_range(0..count);
-                match rng.random_range(0..5) {
+                let number = dice.below(count as u64) as usize;
+                match dice.below(5) {
                     0 => assert_eq!(set.insert(number), tree.insert(number)),
                     1 | 2 => assert_eq!(set.remove(number), tree.remove(&number)),
                     3 => assert_eq!(set.pop_first(), tree.pop_first()),
