@@ -8,7 +8,7 @@ use shadecast_client::draw::draw_list::{
 use shadecast_client::motion::Motion;
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::geometry::{self, NewPatch, NewVertex};
-use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, MeshId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::memory::Patches;
 use shadecast_protocol::message::MotionMemory;
 use shadecast_shaders::generated::CornerGpu;
@@ -93,6 +93,7 @@ fn moved() -> Motion {
     let vertex = |slot| NewVertex {
         slot: VertexSlot(slot),
         instance: InstanceId(0),
+        number: slot,
         motion: geometry::Motion::Static { position: glam::Vec3::ZERO },
     };
     motion.take(UpdateId(0), &(0..VERTICES).map(vertex).collect::<Vec<_>>(), Vec::new(), true);
@@ -104,6 +105,8 @@ impl Bench {
         let mut patches = Patches::new(SLOTS);
         let patch = |number: u32| NewPatch {
             slot: patch_slot(number),
+            mesh: MeshId(0),
+            number,
             instance: InstanceId(0),
             kind: if number.is_multiple_of(8) { PatchKind::Three } else { PatchKind::Two },
             vertices: [0, 1, 2, 3, 4].map(|corner| VertexSlot((number * 2 + corner) % VERTICES)),

@@ -13,7 +13,7 @@ use shadecast_mock_runtime::record::{Side, read_frames};
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{Delta, DeltaEncoder};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Settled};
-use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, MeshId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{MAX_NEW_SAMPLE_GRIDS, MAX_PATCH_SLOTS, MAX_STORE_PAGES, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, Environment, HeadState, ResumeSecret, ServerOffer};
 use shadecast_protocol::motion::SampleBatch;
@@ -95,13 +95,20 @@ fn two_patches() -> Delta {
     let fixed = |(slot, [x, y]): (u32, [f32; 2])| NewVertex {
         slot: VertexSlot(slot),
         instance: InstanceId(3),
+        number: slot,
         motion: Motion::Static { position: [x, y, -2.0].into() },
     };
-    let moving =
-        |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(7), motion: Motion::Sampled };
+    let moving = |slot| NewVertex {
+        slot: VertexSlot(slot),
+        instance: InstanceId(7),
+        number: slot,
+        motion: Motion::Sampled,
+    };
     let patch = |slot: u32, instance: u16, first: u32| NewPatch {
         slot: PatchSlot(slot),
         instance: InstanceId(instance),
+        mesh: MeshId(0),
+        number: slot,
         kind: PatchKind::Two,
         // Around the square: upper left, upper right, lower right, lower left.
         vertices: [first, first + 2, first + 3, first + 1, first].map(VertexSlot),
@@ -326,11 +333,17 @@ fn the_newest_picture_has_its_own_placements() {
 
 /// Two squares beside each other that share an edge and both move to the right; x tells the time.
 fn moving_strip(samples: Vec<SampleBatch>) -> Delta {
-    let moving =
-        |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(7), motion: Motion::Sampled };
+    let moving = |slot| NewVertex {
+        slot: VertexSlot(slot),
+        instance: InstanceId(7),
+        number: slot,
+        motion: Motion::Sampled,
+    };
     let patch = |slot: u32, first: u32| NewPatch {
         slot: PatchSlot(slot),
         instance: InstanceId(7),
+        mesh: MeshId(0),
+        number: slot,
         kind: PatchKind::Two,
         vertices: [first, first + 2, first + 3, first + 1, first].map(VertexSlot),
         double_sided: true,
@@ -465,7 +478,9 @@ impl Line {
         Self {
             server,
             sender: None,
-            encoder: DeltaEncoder::new(MAX_VERTEX_SLOTS, MAX_PATCH_SLOTS).with_store(store_pages),
+            encoder: DeltaEncoder::new(MAX_VERTEX_SLOTS, MAX_PATCH_SLOTS)
+                .with_store(store_pages)
+                .with_atlas(ATLAS),
             streams: VecDeque::new(),
             frames: 0,
             events: Vec::new(),
@@ -1654,7 +1669,12 @@ fn a_flood_of_zero_bit_samples_ends_the_session() {
     let mut client = run.client();
     let mut line = Line::connect(&mut client);
     while client.intake.poll_notice().is_some() {}
-    let still = |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(7), motion: Motion::Sampled };
+    let still = |slot| NewVertex {
+        slot: VertexSlot(slot),
+        instance: InstanceId(7),
+        number: slot,
+        motion: Motion::Sampled,
+    };
     let batch = |grid| SampleBatch {
         grid: GridIndex(grid),
         values: (0..256).map(|slot| (VertexSlot(slot), [0; 3])).collect(),

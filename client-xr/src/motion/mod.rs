@@ -247,7 +247,7 @@ impl Motion {
     }
 
     fn enter(&mut self, vertex: &NewVertex) {
-        let NewVertex { slot, instance, motion } = *vertex;
+        let NewVertex { slot, instance, motion, .. } = *vertex;
         match motion {
             geometry::Motion::Static { position } => {
                 self.occupy(slot, Availability::none(Mover::Nothing));

@@ -13,6 +13,7 @@ fn enter_three(motion: &mut Motion) {
     let vertex = |slot| NewVertex {
         slot: VertexSlot(slot),
         instance: InstanceId(0),
+        number: slot,
         motion: geometry::Motion::Sampled,
     };
     motion.take(UpdateId(0), &[0, 1, 2].map(vertex), positions(0..16), true);
@@ -116,7 +117,8 @@ const MS: i64 = 1_000_000;
 fn with_predicted() -> Motion {
     let mut motion = Motion::new(SLOTS, MotionMemory::NONE.into());
     let (instance, predicted) = (InstanceId(0), geometry::Motion::Predicted);
-    let entering = [0, 1].map(|slot| NewVertex { slot: VertexSlot(slot), instance, motion: predicted });
+    let entering =
+        [0, 1].map(|slot| NewVertex { slot: VertexSlot(slot), instance, number: slot, motion: predicted });
     motion.take(UpdateId(0), &entering, Vec::new(), false);
     motion.predict(UpdateId(0), WorldTime(1000 * MS), &[0, 1].map(predicted_vertex));
     motion

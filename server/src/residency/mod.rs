@@ -22,7 +22,7 @@ use crate::scene::numbering::{ScenePatch, SceneVertex};
 use crate::support::lock::lock;
 use crate::support::merged::merged;
 use crate::support::pool::Pool;
-use shadecast_protocol::atlas::Block;
+use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::bit_set::BitSet;
 use shadecast_protocol::delta::{DeltaEncoder, EncodedDelta};
 use shadecast_protocol::geometry::{GeometryDelta, Motion, NewPatch, NewVertex};
@@ -133,6 +133,14 @@ impl Residency {
             budget: Budget::UNLIMITED,
             held_back: 0,
         }
+    }
+
+    /// With blocks in an atlas of this extent.
+    #[must_use]
+    pub(crate) fn with_atlas(mut self, extent: AtlasExtent) -> Self {
+        let encoder = lock(&self.coder).encoder().clone().with_atlas(extent);
+        self.coder = Arc::new(Mutex::new(Coder::new(encoder)));
+        self
     }
 
     /// With so many pages of the store.
@@ -540,9 +548,12 @@ impl Residency {
         }
         let first = vertices[0];
         vertices[shape.kind.vertex_count()..].fill(first);
+        let (mesh, first_patch) = geometry.mesh_of(instance);
         delta.new_patches.push(NewPatch {
             slot,
             instance: InstanceId(instance),
+            mesh,
+            number: patch.0 - first_patch.0,
             kind: shape.kind,
             vertices,
             double_sided: shape.double_sided,
@@ -577,7 +588,8 @@ impl Residency {
         if !matches!(motion, Motion::Static { .. }) {
             self.moving.insert(slot.index());
         }
-        delta.new_vertices.push(NewVertex { slot, instance: InstanceId(instance), motion });
+        let number = vertex.0 - geometry.first_vertex(instance).0;
+        delta.new_vertices.push(NewVertex { slot, instance: InstanceId(instance), number, motion });
         slot
     }
 

@@ -4,6 +4,7 @@ use crate::scene::numbering::SceneVertex;
 use glam::Vec3;
 use shadecast_protocol::atlas::{BlockSize, PatchKind};
 use shadecast_protocol::delta::{Delta, DeltaDecoder};
+use shadecast_protocol::ids::MeshId;
 use shadecast_protocol::memory::ClientMemory;
 use shadecast_protocol::time::{GridIndex, WorldTime};
 use shadecast_scene::patches::Patch;
@@ -23,6 +24,9 @@ impl Geometry for Strip {
     }
     fn first_vertex(&self, instance: u16) -> SceneVertex {
         SceneVertex(u32::from(instance) * (PATCHES + 2))
+    }
+    fn mesh_of(&self, instance: u16) -> (MeshId, ScenePatch) {
+        (MeshId(instance.into()), ScenePatch(u32::from(instance) * PATCHES / 2))
     }
     fn patch(&self, patch: ScenePatch) -> Patch {
         let v = 2 * (patch.0 % (PATCHES / 2));

@@ -2,6 +2,7 @@
 
 use crate::scene::numbering::{ScenePatch, SceneVertex};
 use glam::Vec3;
+use shadecast_protocol::ids::MeshId;
 use shadecast_scene::patches::Patch;
 
 /// Most vertices of a patch.
@@ -13,6 +14,8 @@ pub(crate) trait Geometry {
     fn instance_of_patch(&self, patch: ScenePatch) -> u16;
     /// Its first vertex.
     fn first_vertex(&self, instance: u16) -> SceneVertex;
+    /// The mesh of an instance, and its first patch of any LOD.
+    fn mesh_of(&self, instance: u16) -> (MeshId, ScenePatch);
     /// The patch; its vertices are indices within the model.
     fn patch(&self, patch: ScenePatch) -> Patch;
     /// The world position of a static vertex, `None` for one that moves.
@@ -61,6 +64,9 @@ pub(crate) mod test_geometry {
                 }
                 fn first_vertex(&self, _: u16) -> SceneVertex {
                     SceneVertex(0)
+                }
+                fn mesh_of(&self, _: u16) -> (MeshId, ScenePatch) {
+                    (MeshId(0), ScenePatch(0))
                 }
                 fn patch(&self, patch: ScenePatch) -> Patch {
                     triangle($corners(patch.0))

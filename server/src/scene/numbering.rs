@@ -138,6 +138,11 @@ impl Numbering {
         self.patches[instance].get(lod).copied().filter(|range| range.count > 0)
     }
 
+    /// The first patch of an instance.
+    pub(crate) fn first_patch(&self, instance: usize) -> ScenePatch {
+        self.patches[instance][0].first
+    }
+
     /// The instance that a patch of any LOD belongs to, and the LOD.
     pub(crate) fn place_of_patch(&self, patch: ScenePatch) -> (usize, usize) {
         let begins = |lods: &Vec<PatchRange>| lods[0].first <= patch;
@@ -231,6 +236,7 @@ mod tests {
         assert_eq!([first(0, 0), first(0, 1), first(0, 2)], [Some(0), Some(50), Some(70)]);
         assert_eq!([first(2, 0), first(3, 0), first(3, 2)], [Some(80), Some(87), Some(157)]);
         assert_eq!([first(1, 0), first(2, 1)], [None, None], "nothing, and no coarser LOD");
+        assert_eq!([0, 2, 3].map(|instance| scene.first_patch(instance).0), [0, 80, 87]);
     }
 
     #[test]

@@ -89,6 +89,7 @@ impl PlacementStep {
                 .with_store(welcome.store_pages),
             changes: Vec::new(),
             residency: Residency::new(counts, welcome.patch_slots, welcome.vertex_slots)
+                .with_atlas(welcome.atlas_extent_texels)
                 .with_store(welcome.store_pages)
                 .with_skinning(Skinning::new(scene, timeline, welcome.motion), welcome.motion),
             room,

@@ -15,6 +15,7 @@ use crate::visibility::culling::Needed;
 use crate::visibility::predict::PredictedViews;
 use glam::Vec3;
 use shadecast_gpu::Recorder;
+use shadecast_protocol::ids::MeshId;
 use shadecast_protocol::time::{Grid, WorldTime};
 use shadecast_scene::patches::Patch;
 use std::sync::Arc;
@@ -120,6 +121,12 @@ impl Geometry for SampleWindow {
 
     fn first_vertex(&self, instance: u16) -> SceneVertex {
         self.scene.numbering.instances[usize::from(instance)].first_vertex
+    }
+
+    fn mesh_of(&self, instance: u16) -> (MeshId, ScenePatch) {
+        let (place, instance) =
+            (&self.scene.numbering.instances[usize::from(instance)], usize::from(instance));
+        (MeshId(place.model as u32), self.scene.numbering.first_patch(instance))
     }
 
     fn patch(&self, patch: ScenePatch) -> Patch {

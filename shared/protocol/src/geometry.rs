@@ -3,7 +3,7 @@
 
 use crate::atlas::{Block, PatchKind};
 use crate::coverage::Coverage;
-use crate::ids::{InstanceId, PatchSlot, RestId, UpdateId, VertexSlot};
+use crate::ids::{InstanceId, MeshId, PatchSlot, RestId, UpdateId, VertexSlot};
 use crate::motion::predicted::PredictedVertex;
 use crate::motion::rest::{MeshInfo, RestVertex};
 use crate::motion::skeleton::{SkeletonInfo, SkinnedInstance};
@@ -25,15 +25,15 @@ pub struct GeometryDelta {
     pub skinned: Skinned,
     /// Vertices before skinning that it has not been told, by rising numbers.
     pub new_rests: Vec<RestVertex>,
-    /// Vertices that enter; their slots are free.
+    /// Vertices that enter, by rising slots, which are free.
     pub new_vertices: Vec<NewVertex>,
-    /// Patches that enter; their slots are free, their vertices present.
+    /// Patches that enter, by rising slots, which are free; their vertices are present.
     pub new_patches: Vec<NewPatch>,
-    /// Patches to forget.
+    /// Patches to forget, by rising slots.
     pub evicted_patches: Vec<PatchSlot>,
-    /// Vertices to forget; no patch uses them any more.
+    /// Vertices to forget, by rising slots; no patch uses them any more.
     pub evicted_vertices: Vec<VertexSlot>,
-    /// Patches whose block changes with this update's picture; `None`: it has none, do not draw it.
+    /// Patches whose block changes with this update's picture, by rising slots; `None`: it has none, do not draw it.
     pub placements: Vec<(PatchSlot, Option<Block>)>,
     /// Of the patches that get a block with this update, those that do not cover all of it. What is not among them is opaque.
     pub coverage: Vec<(PatchSlot, Coverage)>,
@@ -125,6 +125,8 @@ pub struct NewVertex {
     pub slot: VertexSlot,
     /// Whose it is.
     pub instance: InstanceId,
+    /// Its number within the mesh.
+    pub number: u32,
     /// How it moves.
     pub motion: Motion,
 }
@@ -155,6 +157,10 @@ pub struct NewPatch {
     pub slot: PatchSlot,
     /// Whose it is.
     pub instance: InstanceId,
+    /// The mesh of this instance.
+    pub mesh: MeshId,
+    /// Its number within the mesh, over all LODs. What is told of a patch once is known of all instances.
+    pub number: u32,
     /// Number and arrangement of its triangles.
     pub kind: PatchKind,
     /// Its vertices; entries that the kind does not use repeat the first.

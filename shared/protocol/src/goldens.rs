@@ -3,11 +3,11 @@
 //! A failing test here means that old and new programs no longer understand each other. Raise `PROTOCOL_VERSION`, then copy the
 //! new bytes from the failure's message.
 
-use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use crate::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use crate::coverage::Coverage;
 use crate::delta::{Delta, DeltaEncoder};
 use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Settled, Skinned};
-use crate::ids::{ClipId, InstanceId, PatchSlot, RestId, SkeletonId, UpdateId, VertexSlot};
+use crate::ids::{ClipId, InstanceId, MeshId, PatchSlot, RestId, SkeletonId, UpdateId, VertexSlot};
 use crate::message::{ClientDatagram, ClientMessage, Codec, Refused, ServerDatagram, ServerMessage, Welcome};
 use crate::motion::SampleBatch;
 use crate::motion::clip::ClipChunk;
@@ -26,7 +26,7 @@ use crate::world_clock::{Steer, WorldClock};
 use glam::Vec3;
 
 /// The version whose bytes are pinned below.
-const PINNED_VERSION: u32 = 6;
+const PINNED_VERSION: u32 = 7;
 
 #[track_caller]
 fn assert_pinned(bytes: &[u8], hex: &str) {
@@ -38,13 +38,16 @@ fn assert_pinned(bytes: &[u8], hex: &str) {
 /// Two deltas: everything enters, then it moves and some of it leaves.
 fn deltas() -> [Vec<u8>; 2] {
     let (near, far) = (InstanceId(3), InstanceId(7));
-    let vertex = |slot, instance, motion| NewVertex { slot: VertexSlot(slot), instance, motion };
+    let vertex =
+        |slot, instance, motion| NewVertex { slot: VertexSlot(slot), instance, number: slot, motion };
     let block = |x, y, width_log2, height_log2| {
         Some(Block { address: BlockAddress { page: 0, x, y }, size: BlockSize { width_log2, height_log2 } })
     };
     let patch = |slot, instance, kind, vertices: [u32; 5]| NewPatch {
         slot: PatchSlot(slot),
         instance,
+        mesh: MeshId(2),
+        number: slot,
         kind,
         vertices: vertices.map(VertexSlot),
         double_sided: false,
@@ -99,7 +102,7 @@ fn deltas() -> [Vec<u8>; 2] {
         ..Default::default()
     };
     let moves = Delta { geometry: moves, is_update: true, samples: vec![batch(32, 10..13), batch(35, 0..0)] };
-    let mut coder = DeltaEncoder::new(200, 20).with_store(2);
+    let mut coder = DeltaEncoder::new(200, 20).with_store(2).with_atlas(AtlasExtent::DEFAULT);
     [coder.encode(&enters).bytes, coder.encode(&moves).bytes]
 }
 
@@ -181,20 +184,18 @@ fn streams_keep_their_bytes() {
     let [enters, moves] = deltas();
     assert_pinned(
         &encode_geometry(&enters),
-        "015343473200000000000000000100ca9a3b0000000001000000010000000b00000003000000010000002c000000160000000b00
-         0000c2000000010000000c00000001000000000002036f12033a070000803e000000002b009d01037808070000803f000000bf00
-         0010400000803f000000bf000010400000803f000000bf000010400300060300000000000303000000000e0507ba010000020000
-         00800310fffd0300043a00b403556bf028cdbfb600000080daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad70700b4
-         eb0380daf50140edfa0080767d0050bb3e00a85d1f00d0ae0f006ad70700b5eb0300daf50140edfa00a0767d0040bb3e00a85d1f
-         00d4ae0f0068d70700b5eb0380daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad7071c68281b005b000001a5734813
-         0120499224011c68281b80360000016575481d01d8b66ddb061c68281b005b000001253748250110141e48029004000200002884
-         02d40d1001555500",
+        "015343473200000000000000000100ca9a3b000000000b0301c2016b010c0102036f12033a070000803e00000000043a00b40355
+         6bf028cdbfb600000080daf50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad70700b4eb0380daf50140edfa0080767d00
+         50bb3e00a85d1f00d0ae0f006ad70700b5eb0300daf50140edfa00a0767d0040bb3e00a85d1f00d4ae0f0068d70700b5eb0380da
+         f50100edfa00a0767d0050bb3e00a05d1f00d4ae0f006ad7071c68281b005b000001a57348130120499224011c68281b80360000
+         016575481d01d8b66ddb061c68281b005b000001253748250110141e480290040c0bd4f87dedd3c67e4291245beeb95f8e2968e7
+         c6a8fa98ba54f43339ce416e24fa29bb0670a87458061f095fcd17cb0ea4f0be04e96a8c3309d934c8de23916523eac667ac72fd
+         8770d5826ffc66b8681a75405e16aed82f81bb3515f9c614a00357c8db86b718aed18000020000288402d40d1001555500",
     );
     assert_pinned(
         &encode_geometry(&moves),
-        "0153434732010000000100000001556a973d00000000020000000300000001000000030000000100000001000000010000000600
-         00000f0000000100000001000000060000000102020a00000000000000000100ffffffff0240020314000082c203490004040100
-         00011200090008",
+        "0153434732010000000100000001556a973d000000000103010f0401010600000000000240020314000082c2034900040401c9a3
+         c0800000011200090008",
     );
 }
 
@@ -287,7 +288,8 @@ fn what_is_told_of_skinning_and_predicted_keeps_its_bytes() {
         morph_word: 32,
         morphs: vec![(0, [5, -6, 7])],
     };
-    let vertex = |slot, motion| NewVertex { slot: VertexSlot(slot), instance: *instance, motion };
+    let vertex =
+        |slot, motion| NewVertex { slot: VertexSlot(slot), instance: *instance, number: slot, motion };
     let predictions = [1, 2, 3].map(|step| Prediction {
         position_m: Vec3::splat(step as f32),
         since_update_s: step as f32 * 0.03125,
@@ -305,11 +307,11 @@ fn what_is_told_of_skinning_and_predicted_keeps_its_bytes() {
     };
     assert_pinned(
         &DeltaEncoder::new(200, 20).encode(&delta.into()).bytes,
-        "5343473200000000000000000100000000000000000100000001000000010000009e000000120000000800000001000000010000
-         0001000000330000000100000001000000000000010200010200010300010201010000803f00000000000000000000003f000000
-         000000803f000000000000803e00000000000000000000803f000000c001000817b7d13801580702000000803f00000000000000
-         000000003f000000000000803f000000000000803e00000000000000000000803f000000c0000180a8d6b907ac02000080400000
-         00000000d03f000000000000f8bf028088debe01000001030001002183f418282c090120000a0b0e020802070600030700000001
-         05000000803f0000803f0000803f0000003d0000004000000040000000400000803d0000404000004040000040400000c03d0000",
+        "534347320000000000000000010000000000000000019e0112010633010100010200010200010300010201010000803f00000000
+         000000000000003f000000000000803f000000000000803e00000000000000000000803f000000c001000817b7d1380158070200
+         0000803f00000000000000000000003f000000000000803f000000000000803e00000000000000000000803f000000c0000180a8
+         d6b907ac0200008040000000000000d03f000000000000f8bf028088debe01000001030001002183f418282c090120000a0b0e00
+         05e1366625c00105000000803f0000803f0000803f0000003d0000004000000040000000400000803d0000404000004040000040
+         400000c03d0000",
     );
 }

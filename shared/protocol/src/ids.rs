@@ -22,6 +22,7 @@ id!(/** One update of the server. Rises by one per update within a session; 0 is
 id!(/** A vertex place in the client's memory, assigned by the server. */ VertexSlot(u32));
 id!(/** A patch place in the client's memory, assigned by the server. */ PatchSlot(u32));
 id!(/** One placed model of the scene. */ InstanceId(u16));
+id!(/** A mesh of the scene; instances of one mesh have the same patches and vertices. */ MeshId(u32));
 id!(/** A skeleton of the scene. */ SkeletonId(u16));
 id!(/** A clip of the scene; paths of instances are clips too. */ ClipId(u32));
 id!(/** A vertex of a mesh as it is before skinning, over all meshes of the scene: equal meshes share them. */ RestId(u32));

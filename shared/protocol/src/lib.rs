@@ -16,6 +16,7 @@ pub mod message;
 pub mod motion;
 pub mod pairing;
 pub mod picture;
+mod range;
 pub mod session;
 pub mod wire;
 pub mod world_clock;
@@ -28,4 +29,4 @@ mod goldens;
 mod testing;
 
 /// Version of the wire format. A change of the bytes without a change of this number fails the wire goldens.
-pub const PROTOCOL_VERSION: u32 = 6;
+pub const PROTOCOL_VERSION: u32 = 7;

@@ -123,7 +123,7 @@ pub const MAX_CONTROL_PER_SECOND: u32 = 1000;
 /// Datagrams a second, and at once after a pause, that are taken from a peer: a head state each display frame, and pings.
 pub const MAX_DATAGRAMS_PER_SECOND: u32 = 500;
 /// Bytes of one geometry delta.
-pub const MAX_DELTA_BYTES: usize = 60 << 20;
+pub const MAX_DELTA_BYTES: usize = 62 << 20;
 /// Bytes of one coded picture: whatever an encoder can make of the largest, or leaves as it is.
 pub const MAX_ACCESS_UNIT_BYTES: usize = 16 << 20;
 /// Bytes of one unidirectional stream: a delta or a picture with its framing.
@@ -154,8 +154,9 @@ pub const NO_BLOCK: u32 = u32::MAX;
 
 /// Bytes that a sample can cost at worst: three raw words, and its share of a group's header.
 const WORST_SAMPLE_BYTES: usize = 13;
-/// Bytes that a vertex can cost at worst beside its samples: a run of its own, a position, its eviction.
-const WORST_VERTEX_BYTES: usize = 16 + 12 + 5;
+/// Bytes that a vertex can cost at worst beside its samples: slot, instance, number, position or rest number, eviction.
+/// A number has twice its bits; learning keeps the mean of a bit below one.
+const WORST_VERTEX_BYTES: usize = 5 + 3 + 5 + 12 + 5;
 /// Bytes that the predictions of a vertex can cost at worst: a run of its own, positions and times.
 const WORST_PREDICTED_BYTES: usize = 10 + 16 * PREDICTIONS as usize;
 /// Bytes that samples or predictions can cost at worst: a vertex with predictions has no samples.
@@ -168,8 +169,8 @@ const WORST_MOTION_BYTES: usize = {
 const WORST_KEY_BYTES: usize = 16 + 16 + 4 + 4;
 /// Bytes that a curve of a clip can cost at worst beside its keys: what it is, steps, and thirteen widths.
 const WORST_CURVE_BYTES: usize = 24;
-/// Bytes that a patch can cost at worst: slot, instance, kind, five vertices, placement, eviction, slot and form of coverage.
-const WORST_PATCH_BYTES: usize = 5 + 4 + 5 * PATCH_MAX_VERTICES as usize + 5 + 4 + 5 + 6;
+/// Bytes that a patch can cost at worst: slot, instance, number, kind, five vertices, placement, eviction, slot and form of coverage.
+const WORST_PATCH_BYTES: usize = 5 + 3 + 5 + 1 + 6 * PATCH_MAX_VERTICES as usize + 5 + 5 + 5 + 6;
 
 const _: () = {
     assert!(MAX_VERTEX_SLOTS.is_power_of_two() && MAX_PATCH_SLOTS.is_power_of_two());

@@ -361,7 +361,7 @@ impl ClientMemory {
 
     fn insert_vertex(&mut self, vertex: &NewVertex) -> Result<(), WireError> {
         const WHAT: &str = "a new vertex";
-        let NewVertex { slot, instance, motion } = *vertex;
+        let NewVertex { slot, instance, motion, .. } = *vertex;
         if slot.0 >= self.vertex_slots() {
             return Err(invalid(WHAT, format!("slot {} of {} does not exist", slot.0, self.vertex_slots())));
         }
@@ -451,7 +451,7 @@ impl Patches {
     pub fn insert(&mut self, patches: &[NewPatch]) -> Result<(), WireError> {
         const WHAT: &str = "a new patch";
         let slots = self.0.len();
-        for &NewPatch { slot, instance, kind, vertices, double_sided } in patches {
+        for &NewPatch { slot, instance, kind, vertices, double_sided, .. } in patches {
             let place = self
                 .0
                 .get_mut(slot.index())

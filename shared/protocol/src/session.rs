@@ -573,7 +573,8 @@ impl ClientSession {
         self.phase = Phase::Running;
         self.unanswered = None; // what was asked during a pairing is no silence
         let decoder = DeltaDecoder::new(welcome.vertex_slots, welcome.patch_slots);
-        self.decoder = Some(decoder.with_motion(welcome.motion).with_store(welcome.store_pages));
+        let decoder = decoder.with_motion(welcome.motion).with_store(welcome.store_pages);
+        self.decoder = Some(decoder.with_atlas(welcome.atlas_extent_texels));
         self.records_per_turn = (welcome.vertex_slots * RECORDS_PER_SLOT_AND_TURN) as usize;
         self.records_left = self.records_per_turn;
         // News of the world's time come without an arena, too.

@@ -67,7 +67,7 @@ impl Server {
             let at = self.dice.below(1000) as f32;
             let motion = [Motion::Static { position: Vec3::splat(at) }, Motion::Sampled];
             let motion = motion[self.dice.below(2) as usize];
-            delta.new_vertices.push(NewVertex { slot, instance: InstanceId(1), motion });
+            delta.new_vertices.push(NewVertex { slot, instance: InstanceId(1), number: slot.0, motion });
             self.on_client.push(slot);
         }
         delta.evicted_vertices.sort_unstable();

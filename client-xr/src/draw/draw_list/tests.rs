@@ -5,7 +5,7 @@ use rand::{Rng, SeedableRng, rngs::StdRng};
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::coverage::Coverage;
 use shadecast_protocol::geometry::{self, NewPatch, NewVertex};
-use shadecast_protocol::ids::{InstanceId, UpdateId};
+use shadecast_protocol::ids::{InstanceId, MeshId, UpdateId};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::PositionBatch;
 use std::collections::BTreeMap;
@@ -20,6 +20,7 @@ fn motion() -> Motion {
     let vertex = |slot: u32| NewVertex {
         slot: VertexSlot(slot),
         instance: InstanceId(0),
+        number: slot,
         motion: match slot % 3 {
             0 => geometry::Motion::Sampled,
             _ => geometry::Motion::Static { position: glam::Vec3::ZERO },
@@ -38,7 +39,15 @@ fn new_patch(rng: &mut StdRng, slot: u32) -> NewPatch {
     let vertex = |corner: u32| VertexSlot(first + corner * 3 + u32::from(!waits));
     let count = kind.vertex_count() as u32;
     let vertices = [0, 1, 2, 3, 4].map(|corner| vertex(if corner < count { corner } else { 0 }));
-    NewPatch { slot: PatchSlot(slot), instance: InstanceId(0), kind, vertices, double_sided: rng.random() }
+    NewPatch {
+        slot: PatchSlot(slot),
+        instance: InstanceId(0),
+        mesh: MeshId(0),
+        number: slot,
+        kind,
+        vertices,
+        double_sided: rng.random(),
+    }
 }
 
 fn block(rng: &mut StdRng) -> Block {

@@ -93,7 +93,7 @@ fn vertex(update: u32, slot: u32, morph_word: u32, morphs: u16) -> ReceivedDelta
         morphs: (0..morphs).map(|morph| (morph, [0.5; 3])).collect(),
     };
     let motion = geometry::Motion::Skinned { rest: WireRest(slot) };
-    let entering = NewVertex { slot: VertexSlot(slot), instance: FOX, motion };
+    let entering = NewVertex { slot: VertexSlot(slot), instance: FOX, number: slot, motion };
     let geometry = GeometryDelta { new_vertices: vec![entering], ..GeometryDelta::default() };
     received(update, geometry, vec![rest])
 }

@@ -12,7 +12,7 @@ use glam::Vec3;
 use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::geometry::{self, NewVertex};
-use shadecast_protocol::ids::{InstanceId, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, MeshId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::PositionBatch;
 use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime, WorldTime};
@@ -146,6 +146,7 @@ impl Server {
             delta.new_vertices.push(NewVertex {
                 slot: VertexSlot(*slot),
                 instance: InstanceId(instance),
+                number: *slot,
                 motion,
             });
         }
@@ -153,6 +154,8 @@ impl Server {
         let new = NewPatch {
             slot: PatchSlot(patch_slot),
             instance: InstanceId(instance),
+            mesh: MeshId(0),
+            number: patch_slot,
             kind,
             vertices,
             double_sided: false,
@@ -486,6 +489,8 @@ fn one_triangle() -> NewPatch {
     NewPatch {
         slot: PatchSlot(0),
         instance: InstanceId(0),
+        mesh: MeshId(0),
+        number: 0,
         kind: PatchKind::One,
         vertices: [0, 1, 2, 0, 0].map(VertexSlot),
         double_sided: false,
@@ -497,6 +502,7 @@ fn triangle(frame: u32, steps: std::ops::RangeInclusive<i32>) -> ReceivedDelta {
     let vertex = |slot| NewVertex {
         slot: VertexSlot(slot),
         instance: InstanceId(0),
+        number: slot,
         motion: geometry::Motion::Sampled,
     };
     let block =

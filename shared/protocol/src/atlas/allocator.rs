@@ -134,7 +134,16 @@ impl Atlas {
         Some(Block { address, size })
     }
 
-    /// This very block, where it is free.
+    /// Whether a block is one that could be allocated here: within the atlas, at multiples of its sides.
+    pub fn can_have(&self, block: Block) -> bool {
+        let is_multiple = |at: u16, log2: u8| u32::from(at) & ((1 << log2) - 1) == 0;
+        !block.is_stored()
+            && block.fits(self.extent.texels())
+            && is_multiple(block.address.x, block.size.width_log2)
+            && is_multiple(block.address.y, block.size.height_log2)
+    }
+
+    /// This very block, where it is free. It must be one that [`Self::can_have`] allows.
     pub fn take(&mut self, block: Block) -> bool {
         let (corner, side_log2) = (self.superblock_of(block), side_log2(block.size));
         if self.superblock(corner).is_none() {

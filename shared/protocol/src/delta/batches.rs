@@ -1,6 +1,6 @@
 //! The section of samples: batches, each with its grid step, its vertices, and the coded samples.
 
-use super::sections::{BEFORE_FIRST, put_evictions, put_successor, take_successor};
+use super::sections::{BEFORE_FIRST, put_slots, put_successor, take_successor};
 use crate::ids::VertexSlot;
 use crate::limits::{MAX_NEW_SAMPLE_GRIDS, MAX_SAMPLE_BATCHES};
 use crate::memory::ClientMemory;
@@ -51,7 +51,7 @@ fn put_coverage(out: &mut Vec<u8>, slots: &[VertexSlot], all: &[VertexSlot], fre
             "a sample of a vertex that has none"
         );
         out.push(COVER_LIST);
-        put_evictions(out, slots.iter().map(|slot| slot.0));
+        put_slots(out, slots.iter().map(|slot| slot.0));
     }
 }
 

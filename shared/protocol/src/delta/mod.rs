@@ -1,17 +1,24 @@
 //! The bytes of an update: geometry ([`crate::geometry`]) and samples ([`crate::motion`]).
 //!
-//! A header has the lengths of its sections; the sections follow: explicit little-endian blocks and varints, small because
-//! slots come in runs. Both sides keep the client's memory and the history of its samples. So samples need no slots, and a
-//! delta that contradicts the memory is refused.
+//! A header has the lengths of its sections; the sections follow: explicit little-endian blocks and varints. Patches, vertices and
+//! placements are one section of coded bits ([`coding`]): both sides know the meshes told so far, and where the atlas has room.
+//! Both sides keep the client's memory and the history of its samples. So samples need no slots, and a delta that contradicts
+//! the memory is refused.
 
 mod batches;
+mod coding;
+mod entering;
+mod known;
 mod parts;
+mod placing;
 mod sections;
+mod slots;
 
 pub use parts::{Part, PartBytes};
 
+use crate::atlas::AtlasExtent;
 use crate::geometry::GeometryDelta;
-use crate::ids::{PatchSlot, UpdateId, VertexSlot};
+use crate::ids::UpdateId;
 use crate::limits::MAX_DELTA_BYTES;
 use crate::memory::ClientMemory;
 use crate::message::MotionMemory;
@@ -19,16 +26,19 @@ use crate::motion::predicted::{put_predictions, take_predictions};
 use crate::motion::rest::{PlacedRest, put_rests, take_rests};
 use crate::motion::samples::{SampleEncoder, SampleHistory};
 use crate::motion::{PositionBatch, SampleBatch};
+use crate::range::{RangeDecoder, RangeEncoder};
 use crate::time::WorldTime;
-use crate::wire::{DeltaHead, GEOMETRY_MAGIC, Reader, WireError, check_count, invalid, peek_delta};
+use crate::wire::{
+    DeltaHead, GEOMETRY_MAGIC, Reader, WireError, check_count, invalid, peek_delta, put_varint,
+};
 use batches::{put_samples, take_samples};
+use coding::GeometryCoding;
 use sections::{
-    put_coverage, put_evictions, put_instances, put_patches, put_placements, put_settled, put_skinned,
-    put_vertices, take_coverage, take_evictions, take_instances, take_patches, take_placements, take_settled,
-    take_skinned, take_vertices,
+    put_coverage, put_instances, put_settled, put_skinned, take_coverage, take_instances, take_settled,
+    take_skinned,
 };
 
-const SECTIONS: usize = 12;
+const SECTIONS: usize = 8;
 
 /// What an update tells the client beside its picture, or what it is told of samples between two updates.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -92,13 +102,13 @@ pub struct DeltaSizes {
     pub total_bytes: usize,
     /// The same by part.
     pub parts: PartBytes,
-    /// New vertices and evictions of vertices.
+    /// New vertices, and instances of them.
     pub vertex_bytes: usize,
     /// Skeletons, meshes, and instances of them.
     pub skeleton_bytes: usize,
     /// Vertices before skinning.
     pub rest_bytes: usize,
-    /// New patches and evictions of patches.
+    /// New patches, and evictions.
     pub patch_bytes: usize,
     /// Placements.
     pub placement_bytes: usize,
@@ -125,6 +135,7 @@ pub struct DeltaEncoder {
     memory: ClientMemory,
     history: SampleHistory,
     encoder: SampleEncoder,
+    coding: GeometryCoding,
     /// Of the delta in the making, kept for their memory.
     sections: [Vec<u8>; SECTIONS],
 }
@@ -134,6 +145,7 @@ pub struct DeltaEncoder {
 pub struct DeltaDecoder {
     memory: ClientMemory,
     history: SampleHistory,
+    coding: GeometryCoding,
     /// True after a delta failed half-way: nothing after it can be understood.
     broken: bool,
 }
@@ -146,6 +158,7 @@ impl DeltaEncoder {
             memory: ClientMemory::new(vertex_slots, patch_slots),
             history: SampleHistory::new(vertex_slots),
             encoder: SampleEncoder::new(),
+            coding: GeometryCoding::new(vertex_slots, patch_slots),
             sections: Default::default(),
         }
     }
@@ -154,6 +167,13 @@ impl DeltaEncoder {
     #[must_use]
     pub fn with_motion(mut self, motion: MotionMemory) -> Self {
         self.memory = self.memory.with_motion(motion);
+        self
+    }
+
+    /// With blocks in an atlas of this extent, that of [`crate::message::Welcome`].
+    #[must_use]
+    pub fn with_atlas(mut self, extent: AtlasExtent) -> Self {
+        self.coding = self.coding.with_atlas(extent);
         self
     }
 
@@ -194,42 +214,39 @@ impl DeltaEncoder {
         samples: &[SampleBatch],
     ) -> EncodedDelta {
         let update = geometry.update;
+        let mut sections = std::mem::take(&mut self.sections);
+        sections.iter_mut().for_each(Vec::clear);
+        let bits = self.encode_geometry(geometry, &mut sections[4]);
         let entered =
             self.memory.apply(geometry).unwrap_or_else(|error| panic!("delta {}: {error}", update.0));
         self.history.follow(&entered);
-        let mut sections = std::mem::take(&mut self.sections);
-        sections.iter_mut().for_each(Vec::clear);
-        put_evictions(&mut sections[0], geometry.evicted_patches.iter().map(|slot| slot.0));
-        put_evictions(&mut sections[1], geometry.evicted_vertices.iter().map(|slot| slot.0));
-        put_instances(&mut sections[2], &geometry.instances);
-        put_skinned(&mut sections[3], &geometry.skinned);
-        put_rests(&mut sections[4], &geometry.new_rests);
-        put_vertices(&mut sections[5], &geometry.new_vertices);
-        let [kinds, corners] = put_patches(&mut sections[6], &geometry.new_patches);
-        let blocks = put_placements(&mut sections[7], &geometry.placements);
+        put_instances(&mut sections[0], &geometry.instances);
+        put_skinned(&mut sections[1], &geometry.skinned);
+        put_rests(&mut sections[2], &geometry.new_rests);
         let code = |batch: &SampleBatch, out: &mut Vec<u8>| {
             self.encoder.encode_batch(batch, &mut self.history, out);
         };
-        put_samples(&mut sections[8], samples, &entered.sampled, &self.memory.sampled_slots(), code);
-        put_predictions(&mut sections[9], &geometry.predictions);
-        put_coverage(&mut sections[10], &geometry.coverage);
-        put_settled(&mut sections[11], &geometry.settled);
+        put_samples(&mut sections[3], samples, &entered.sampled, &self.memory.sampled_slots(), code);
+        put_predictions(&mut sections[5], &geometry.predictions);
+        put_coverage(&mut sections[6], &geometry.coverage);
+        put_settled(&mut sections[7], &geometry.settled);
         let bytes = put_header_and([self.next, u32::from(is_update)], geometry, &sections);
         self.next = self.next.saturating_add(1);
         assert!(bytes.len() <= MAX_DELTA_BYTES, "delta {} has {} bytes", update.0, bytes.len());
-        let length = |indices: &[usize]| indices.iter().map(|&index| sections[index].len()).sum();
+        let parts = part_bytes(&sections, bytes.len(), bits);
+        let sum = |of: &[Part]| of.iter().map(|part| parts.of(*part) as usize).sum();
         let sizes = DeltaSizes {
             total_bytes: bytes.len(),
-            parts: part_bytes(&sections, bytes.len(), [kinds, corners, blocks]),
-            vertex_bytes: length(&[1, 2, 5]),
-            skeleton_bytes: length(&[3]),
-            rest_bytes: length(&[4]),
-            patch_bytes: length(&[0, 6]),
-            placement_bytes: length(&[7]),
-            sample_bytes: length(&[8]),
-            prediction_bytes: length(&[9]),
-            coverage_bytes: length(&[10]),
-            settled_bytes: length(&[11]),
+            parts,
+            vertex_bytes: sum(&[Part::Vertices]) + sections[0].len(),
+            skeleton_bytes: sections[1].len(),
+            rest_bytes: sections[2].len(),
+            patch_bytes: sum(&[Part::Evicted, Part::PatchSlots, Part::PatchKinds, Part::Corners]),
+            placement_bytes: sum(&[Part::PlacedSlots, Part::Blocks]),
+            sample_bytes: sections[3].len(),
+            prediction_bytes: sections[5].len(),
+            coverage_bytes: sections[6].len(),
+            settled_bytes: sections[7].len(),
             new_vertices: geometry.new_vertices.len(),
             new_rests: geometry.new_rests.len(),
             samples: samples.iter().map(|batch| batch.values.len()).sum(),
@@ -237,6 +254,36 @@ impl DeltaEncoder {
         self.sections = sections;
         EncodedDelta { update: is_update.then_some(update), bytes, sizes }
     }
+
+    /// What is coded in bits; nothing takes no bytes. Gives the bits by part, by 256.
+    fn encode_geometry(&mut self, geometry: &GeometryDelta, out: &mut Vec<u8>) -> [u64; Part::ALL.len()] {
+        let mut bits = [0; Part::ALL.len()];
+        if is_coded(geometry) {
+            let mut coder = RangeEncoder::new(out, &mut bits);
+            let coded = self.coding.code(&mut coder, &self.memory, geometry);
+            coder.finish();
+            let is_whole = coded.is_ok_and(|coded| has_same_lists(&coded, geometry));
+            assert!(
+                is_whole,
+                "delta {}: its lists are not in order, or contradict the memory",
+                geometry.update.0
+            );
+        }
+        bits
+    }
+}
+
+/// Whether there is anything that is coded in bits.
+fn is_coded(geometry: &GeometryDelta) -> bool {
+    !has_same_lists(geometry, &GeometryDelta::default())
+}
+
+fn has_same_lists(a: &GeometryDelta, b: &GeometryDelta) -> bool {
+    a.evicted_patches == b.evicted_patches
+        && a.evicted_vertices == b.evicted_vertices
+        && a.new_vertices == b.new_vertices
+        && a.new_patches == b.new_patches
+        && a.placements == b.placements
 }
 
 impl DeltaDecoder {
@@ -245,6 +292,7 @@ impl DeltaDecoder {
         Self {
             memory: ClientMemory::new(vertex_slots, patch_slots),
             history: SampleHistory::new(vertex_slots),
+            coding: GeometryCoding::new(vertex_slots, patch_slots),
             broken: false,
         }
     }
@@ -253,6 +301,13 @@ impl DeltaDecoder {
     #[must_use]
     pub fn with_motion(mut self, motion: MotionMemory) -> Self {
         self.memory = self.memory.with_motion(motion);
+        self
+    }
+
+    /// With blocks in an atlas of this extent, that of [`crate::message::Welcome`].
+    #[must_use]
+    pub fn with_atlas(mut self, extent: AtlasExtent) -> Self {
+        self.coding = self.coding.with_atlas(extent);
         self
     }
 
@@ -290,70 +345,61 @@ impl DeltaDecoder {
     fn decode_next(&mut self, bytes: &[u8]) -> Result<Delta, WireError> {
         check_count("a delta's length in bytes", bytes.len(), MAX_DELTA_BYTES)?;
         let (head, time, sections) = split_sections(bytes)?;
-        let [
-            patches_out,
-            vertices_out,
-            instances,
-            skinned,
-            rests,
-            vertices,
-            patches,
-            placements,
-            samples,
-            predicted,
-            coverage,
-            settled,
-        ] = sections;
+        let [instances, skinned, rests, samples, coded, predicted, coverage, settled] = sections;
         let vertex_slots = self.memory.vertex_slots() as usize;
         let patch_slots = self.memory.patch_slots() as usize;
-        let placements = take_placements(placements, patch_slots)?;
+        let coded = self.decode_geometry(coded)?;
         let geometry = GeometryDelta {
             update: head.update,
             time,
-            evicted_patches: take_evictions("evicted patches", patches_out, patch_slots, PatchSlot)?,
-            evicted_vertices: take_evictions("evicted vertices", vertices_out, vertex_slots, VertexSlot)?,
             instances: take_instances(instances)?,
             skinned: take_skinned(skinned)?,
             new_rests: take_rests(rests)?,
-            new_vertices: take_vertices(vertices, vertex_slots)?,
-            new_patches: take_patches(patches, patch_slots)?,
-            coverage: take_coverage(coverage, &placements)?,
-            placements,
+            coverage: take_coverage(coverage, &coded.placements)?,
             settled: take_settled(settled, patch_slots)?,
             predictions: take_predictions(predicted, vertex_slots)?,
+            ..coded
         };
         let entered = self.memory.apply(&geometry)?;
         self.history.follow(&entered);
         let samples = take_samples(samples, &entered.sampled, &self.memory, &mut self.history)?;
         Ok(Delta { geometry, is_update: head.is_update, samples })
     }
+
+    fn decode_geometry(&mut self, section: &[u8]) -> Result<GeometryDelta, WireError> {
+        if section.is_empty() {
+            return Ok(GeometryDelta::default());
+        }
+        let mut coder = RangeDecoder::new(section);
+        let geometry = self.coding.code(&mut coder, &self.memory, &GeometryDelta::default())?;
+        coder.finish("coded geometry")?;
+        Ok(geometry)
+    }
 }
 
-/// The last three: bytes of the kinds and corners of patches, and of the blocks of placements, in their sections.
-fn part_bytes(
-    sections: &[Vec<u8>; SECTIONS],
-    total: usize,
-    [kinds, corners, blocks]: [usize; 3],
-) -> PartBytes {
+/// `bits`: those of the coded section by part, by 256.
+fn part_bytes(sections: &[Vec<u8>; SECTIONS], total: usize, bits: [u64; Part::ALL.len()]) -> PartBytes {
     let mut parts = PartBytes::default();
     let of_sections = [
-        (&[0, 1][..], Part::Evicted),
-        (&[2, 3], Part::Skeletons),
-        (&[4], Part::Rests),
-        (&[5], Part::Vertices),
-        (&[8], Part::Samples),
-        (&[9], Part::Predictions),
-        (&[10], Part::Coverage),
-        (&[11], Part::Settled),
+        (&[0, 1][..], Part::Skeletons),
+        (&[2], Part::Rests),
+        (&[3], Part::Samples),
+        (&[5], Part::Predictions),
+        (&[6], Part::Coverage),
+        (&[7], Part::Settled),
     ];
     for (indices, part) in of_sections {
         parts.add(part, indices.iter().map(|&index: &usize| sections[index].len()).sum());
     }
-    parts.add(Part::PatchKinds, kinds);
-    parts.add(Part::Corners, corners);
-    parts.add(Part::PatchSlots, sections[6].len() - kinds - corners);
-    parts.add(Part::Blocks, blocks);
-    parts.add(Part::PlacedSlots, sections[7].len() - blocks);
+    // Whole bytes in proportion to the bits, so that their sum is right.
+    let (coded, all) = (sections[4].len() as u64, bits.iter().sum::<u64>().max(1));
+    let (mut told, mut counted) = (0, 0);
+    for part in Part::ALL {
+        told += bits[part as usize];
+        let bytes = coded * told / all - counted;
+        counted += bytes;
+        parts.add(part, bytes as usize);
+    }
     parts.add(Part::Head, total - sections.iter().map(Vec::len).sum::<usize>());
     parts
 }
@@ -363,14 +409,14 @@ fn put_header_and(
     geometry: &GeometryDelta,
     sections: &[Vec<u8>; SECTIONS],
 ) -> Vec<u8> {
-    let mut out = Vec::with_capacity(80 + sections.iter().map(Vec::len).sum::<usize>());
+    let mut out = Vec::with_capacity(64 + sections.iter().map(Vec::len).sum::<usize>());
     out.extend_from_slice(&GEOMETRY_MAGIC);
     out.extend_from_slice(&sequence.to_le_bytes());
     out.extend_from_slice(&geometry.update.0.to_le_bytes());
     out.push(is_update as u8);
     out.extend_from_slice(&geometry.time.0.to_le_bytes());
     for section in sections {
-        out.extend_from_slice(&(section.len() as u32).to_le_bytes());
+        put_varint(&mut out, section.len() as u32);
     }
     sections.iter().for_each(|section| out.extend_from_slice(section));
     out
@@ -383,7 +429,7 @@ fn split_sections(bytes: &[u8]) -> Result<(DeltaHead, WorldTime, [&[u8]; SECTION
     let time = WorldTime(reader.i64()?);
     let mut lengths = [0; SECTIONS];
     for length in &mut lengths {
-        *length = reader.u32()? as usize;
+        *length = reader.varint()? as usize;
     }
     reader.what = "a delta's sections";
     let mut sections: [&[u8]; SECTIONS] = [&[]; SECTIONS];
@@ -394,5 +440,7 @@ fn split_sections(bytes: &[u8]) -> Result<(DeltaHead, WorldTime, [&[u8]; SECTION
     Ok((head, time, sections))
 }
 
+#[cfg(test)]
+mod herd_tests;
 #[cfg(test)]
 mod tests;

@@ -1,9 +1,9 @@
-use super::sections::{put_evictions, put_patches, put_placements, put_vertices};
+use super::sections::put_slots;
 use super::*;
 use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use crate::coverage::Coverage;
 use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Settled};
-use crate::ids::InstanceId;
+use crate::ids::{InstanceId, MeshId, PatchSlot, VertexSlot};
 use crate::limits::{MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS};
 use crate::motion::predicted::{PredictedVertex, Prediction};
 use crate::testing::{Dice, damaged};
@@ -14,6 +14,25 @@ use std::collections::BTreeMap;
 const VERTEX_SLOTS: u32 = 600;
 const PATCH_SLOTS: u32 = 300;
 const STORE_PAGES: u32 = 2;
+/// The section of coded bits.
+const CODED: usize = 4;
+
+/// The section of a delta that says nothing else.
+fn coded(geometry: &GeometryDelta) -> Vec<u8> {
+    let mut section = Vec::new();
+    DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS).encode_geometry(geometry, &mut section);
+    section
+}
+
+fn encoder() -> DeltaEncoder {
+    let encoder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
+    encoder.with_atlas(AtlasExtent::DEFAULT)
+}
+
+fn decoder() -> DeltaDecoder {
+    let decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
+    decoder.with_atlas(AtlasExtent::DEFAULT)
+}
 
 /// A server that does random but lawful things, and so makes deltas of every kind.
 struct Chaos {
@@ -68,7 +87,7 @@ impl Chaos {
             self.vertices.remove(slot);
             self.curve.remove(slot);
         }
-        delta.evicted_vertices = gone.into_iter().rev().map(VertexSlot).collect();
+        delta.evicted_vertices = gone.into_iter().map(VertexSlot).collect();
     }
 
     fn announce(&mut self, delta: &mut GeometryDelta) {
@@ -103,7 +122,7 @@ impl Chaos {
                 Motion::Sampled
             };
             self.vertices.insert(slot, motion);
-            delta.new_vertices.push(NewVertex { slot: VertexSlot(slot), instance, motion });
+            delta.new_vertices.push(NewVertex { slot: VertexSlot(slot), instance, number: slot, motion });
         }
     }
 
@@ -121,10 +140,13 @@ impl Chaos {
             corners[kind.vertex_count()..].fill(first);
             let instance = self.instances[self.dice.below(self.instances.len() as u64) as usize];
             let double_sided = self.dice.once_in(3);
-            let patch = NewPatch { slot: PatchSlot(slot), instance, kind, vertices: corners, double_sided };
-            self.patches.insert(slot, patch);
+            let (mesh, number) = (MeshId(u32::from(instance.0) % 3), self.dice.below(40) as u32);
+            let (slot, vertices) = (PatchSlot(slot), corners);
+            let patch = NewPatch { slot, instance, mesh, number, kind, vertices, double_sided };
+            self.patches.insert(slot.0, patch);
             delta.new_patches.push(patch);
         }
+        delta.new_patches.sort_unstable_by_key(|patch| patch.slot);
     }
 
     fn predict(&mut self, delta: &mut GeometryDelta) {
@@ -205,8 +227,8 @@ impl Chaos {
 fn both_sides_stay_in_step_through_random_sessions() {
     for seed in 0..30 {
         let mut chaos = Chaos::new(seed);
-        let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
-        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
+        let mut coder = encoder();
+        let mut decoder = decoder();
         for _ in 0..60 {
             let delta = chaos.delta();
             let encoded = coder.encode(&delta);
@@ -221,30 +243,45 @@ fn both_sides_stay_in_step_through_random_sessions() {
 
 #[test]
 fn bytes_count_for_the_part_that_they_tell() {
-    let vertices = vec![static_vertex(0), static_vertex(1), static_vertex(2)];
-    let patch = NewPatch {
-        slot: PatchSlot(0),
-        instance: InstanceId(0),
-        kind: PatchKind::One,
-        vertices: [0, 1, 2, 0, 0].map(VertexSlot),
-        double_sided: false,
+    const COUNT: u32 = 100;
+    let patch = |slot: u32| {
+        let kind = PatchKind::ALL[(slot * slot) as usize % 3];
+        let vertex = |corner| VertexSlot(slot + if corner < kind.vertex_count() as u32 { corner } else { 0 });
+        NewPatch {
+            slot: PatchSlot(slot),
+            instance: InstanceId(0),
+            mesh: MeshId(0),
+            number: 7 * slot,
+            kind,
+            vertices: [0, 1, 2, 3, 4].map(vertex),
+            double_sided: false,
+        }
     };
     let size = BlockSize { width_log2: 2, height_log2: 2 };
-    let block = Block { address: BlockAddress { page: 0, x: 8, y: 8 }, size };
+    let block = |slot: u32| Block { address: BlockAddress { page: 0, x: 8 * slot as u16, y: 8 }, size };
     let to = Block { address: BlockAddress { page: 1, x: 64, y: 32 }, size };
-    let enters = GeometryDelta { new_vertices: vertices, new_patches: vec![patch], ..Default::default() };
-    let placed = GeometryDelta { placements: vec![(PatchSlot(0), Some(block))], ..Default::default() };
+    let every = || (0..COUNT).step_by(2).map(PatchSlot);
+    let enters = GeometryDelta {
+        new_vertices: (0..COUNT + 4).map(static_vertex).collect(),
+        new_patches: (0..COUNT).map(patch).collect(),
+        ..Default::default()
+    };
+    let placements = every().map(|slot| (slot, Some(block(slot.0)))).collect();
+    let placed = GeometryDelta { placements, ..Default::default() };
     let settles = GeometryDelta { settled: vec![Settled { slot: PatchSlot(0), to }], ..Default::default() };
-    let leaves = GeometryDelta { evicted_patches: vec![PatchSlot(0)], ..Default::default() };
-    let mut coder = DeltaEncoder::new(3, 1).with_store(1);
+    let evicted_patches = (0..COUNT).filter(|slot| slot % 7 < 3).map(PatchSlot).collect();
+    let leaves = GeometryDelta { evicted_patches, ..Default::default() };
+    let mut coder = DeltaEncoder::new(COUNT + 4, COUNT).with_store(1);
     let mut parts = |delta: GeometryDelta| coder.encode_update(&delta).sizes.parts;
     let empty = parts(GeometryDelta::default());
     let mut grown = |delta, expected: &[Part]| {
         let bytes = parts(delta);
-        let more: Vec<_> = Part::ALL.into_iter().filter(|part| bytes.of(*part) > empty.of(*part)).collect();
-        assert_eq!(more, expected);
+        let more = |part: &Part| *part != Part::Head && bytes.of(*part) > empty.of(*part) + 1;
+        assert_eq!(Part::ALL.into_iter().filter(more).collect::<Vec<_>>(), expected);
     };
-    grown(enters, &[Part::Vertices, Part::PatchSlots, Part::PatchKinds, Part::Corners]);
+    // Each patch that enters is said to have no block.
+    let told = [Part::Vertices, Part::PatchSlots, Part::PatchKinds, Part::Corners, Part::PlacedSlots];
+    grown(enters, &told);
     grown(placed, &[Part::PlacedSlots, Part::Blocks]);
     grown(settles, &[Part::Settled]);
     grown(leaves, &[Part::Evicted]);
@@ -254,8 +291,8 @@ fn bytes_count_for_the_part_that_they_tell() {
 fn damaged_deltas_give_values_or_errors() {
     for seed in 0..4 {
         let mut chaos = Chaos::new(seed);
-        let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
-        let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).with_store(STORE_PAGES);
+        let mut coder = encoder();
+        let mut decoder = decoder();
         for _ in 0..5 {
             let bytes = coder.encode(&chaos.delta()).bytes;
             damaged(&bytes, seed, 400, |bytes| {
@@ -286,7 +323,7 @@ fn assert_refused(bytes: &[u8], words: &str) {
 
 fn static_vertex(slot: u32) -> NewVertex {
     let motion = Motion::Static { position: Vec3::ONE };
-    NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion }
+    NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), number: slot, motion }
 }
 
 #[test]
@@ -296,6 +333,8 @@ fn slots_beyond_the_agreed_capacity_are_refused() {
     let patch = NewPatch {
         slot: PatchSlot(PATCH_SLOTS),
         instance: InstanceId(0),
+        mesh: MeshId(0),
+        number: 0,
         kind: PatchKind::One,
         vertices: [VertexSlot(0); 5],
         double_sided: false,
@@ -309,25 +348,25 @@ fn slots_beyond_the_agreed_capacity_are_refused() {
 }
 
 #[test]
-fn used_slots_are_not_assigned_and_free_ones_not_freed() {
-    let delta = GeometryDelta { new_vertices: vec![static_vertex(7)], ..Default::default() };
-    let bytes = bytes_of(delta);
+fn slots_that_are_not_taken_cannot_be_left() {
+    let enters = GeometryDelta { new_vertices: vec![static_vertex(7)], ..Default::default() };
+    let leaves = GeometryDelta { evicted_vertices: vec![VertexSlot(7)], ..Default::default() };
+    let mut coder = DeltaEncoder::new(VERTEX_SLOTS, PATCH_SLOTS);
+    let [enters, leaves] = [enters, leaves].map(|delta| coder.encode(&delta.into()).bytes);
+    assert_refused(&leaves, "a slot is not valid");
     let mut decoder = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS);
-    decoder.decode(&bytes).unwrap();
-    assert!(decoder.decode(&bytes).unwrap_err().to_string().contains("slot 7 is taken"));
-
-    let mut section = Vec::new();
-    put_evictions(&mut section, [3].into_iter());
-    let header = GeometryDelta::default();
-    let mut sections = empty_sections();
-    sections[1] = section;
-    assert_refused(&put_header_and([0, 1], &header, &sections), "slot 3 is free");
+    assert!(decoder.decode(&enters).is_ok() && decoder.decode(&leaves).is_ok());
 }
 
 #[test]
 fn zero_bit_samples_stay_within_the_agreed_memory() {
     let new_vertices: Vec<_> = (0..VERTEX_SLOTS)
-        .map(|slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: Motion::Sampled })
+        .map(|slot| NewVertex {
+            slot: VertexSlot(slot),
+            instance: InstanceId(0),
+            number: slot,
+            motion: Motion::Sampled,
+        })
         .collect();
     let instances = vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }];
     let batch = |grid| SampleBatch {
@@ -351,7 +390,8 @@ fn zero_bit_samples_stay_within_the_agreed_memory() {
 /// Those of a delta that says nothing.
 fn empty_sections() -> [Vec<u8>; SECTIONS] {
     let mut sections: [Vec<u8>; SECTIONS] = std::array::from_fn(|_| vec![0]);
-    sections[3] = vec![0; 3];
+    sections[1] = vec![0; 3];
+    sections[CODED].clear();
     sections
 }
 
@@ -362,13 +402,12 @@ fn predictions_of_vertices_that_are_not_predicted_are_refused() {
         predictions: times.map(|since_update_s| Prediction { position_m: Vec3::ONE, since_update_s }),
     };
     let header = |slot, motion, predictions: &[PredictedVertex]| {
-        let vertex = NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion };
+        let vertex = NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), number: slot, motion };
         let header = GeometryDelta::default();
         let mut sections = empty_sections();
+        sections[CODED] = coded(&GeometryDelta { new_vertices: vec![vertex], ..Default::default() });
         sections[5].clear();
-        put_vertices(&mut sections[5], &[vertex]);
-        sections[9].clear();
-        put_predictions(&mut sections[9], predictions);
+        put_predictions(&mut sections[5], predictions);
         put_header_and([0, 1], &header, &sections)
     };
     let (rising, falling) = (predicted(4, [0.1, 0.2, 0.3]), predicted(4, [0.1, 0.3, 0.2]));
@@ -384,17 +423,12 @@ fn predictions_of_vertices_that_are_not_predicted_are_refused() {
 #[test]
 fn huge_counts_are_refused_before_anything_is_allocated() {
     for (section, words) in [
-        (0, "evicted patches"),
-        (1, "evicted vertices"),
-        (2, "instances"),
-        (3, "skeletons and what they move"),
-        (4, "rest vertices"),
-        (5, "new vertices"),
-        (6, "new patches"),
-        (7, "placements"),
-        (8, "batches of samples"),
-        (9, "predictions"),
-        (10, "coverage of blocks"),
+        (0, "instances"),
+        (1, "skeletons and what they move"),
+        (2, "rest vertices"),
+        (3, "batches of samples"),
+        (5, "predictions"),
+        (6, "coverage of blocks"),
     ] {
         let mut sections = empty_sections();
         sections[section] = vec![0xff, 0xff, 0xff, 0xff, 0x0f];
@@ -406,22 +440,31 @@ fn huge_counts_are_refused_before_anything_is_allocated() {
 fn covering(slot: u32, coverage: &[u8]) -> Vec<u8> {
     let vertex = |slot| {
         let motion = Motion::Static { position: Vec3::ZERO };
-        NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion }
+        NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), number: slot, motion }
     };
     let vertices = [0, 1, 2, 0, 0].map(VertexSlot);
     let (instance, kind) = (InstanceId(0), PatchKind::One);
-    let patch = |slot| NewPatch { slot: PatchSlot(slot), instance, kind, vertices, double_sided: false };
+    let patch = |number| NewPatch {
+        slot: PatchSlot(number),
+        instance,
+        mesh: MeshId(0),
+        number,
+        kind,
+        vertices,
+        double_sided: false,
+    };
     let size = BlockSize { width_log2: 2, height_log2: 2 };
     let block = Block { address: BlockAddress::default(), size };
     let mut sections = empty_sections();
-    for section in [5, 6, 7, 10] {
-        sections[section].clear();
-    }
-    put_vertices(&mut sections[5], &[vertex(0), vertex(1), vertex(2)]);
-    put_patches(&mut sections[6], &[patch(0), patch(1)]);
-    put_placements(&mut sections[7], &[(PatchSlot(0), Some(block)), (PatchSlot(1), None)]);
-    put_evictions(&mut sections[10], std::iter::once(slot));
-    sections[10].extend_from_slice(coverage);
+    sections[CODED] = coded(&GeometryDelta {
+        new_vertices: vec![vertex(0), vertex(1), vertex(2)],
+        new_patches: vec![patch(0), patch(1)],
+        placements: vec![(PatchSlot(0), Some(block)), (PatchSlot(1), None)],
+        ..Default::default()
+    });
+    sections[6].clear();
+    put_slots(&mut sections[6], std::iter::once(slot));
+    sections[6].extend_from_slice(coverage);
     put_header_and([0, 1], &GeometryDelta::default(), &sections)
 }
 
@@ -484,18 +527,28 @@ fn a_new_placement_takes_coverage_away() {
 fn positions_that_are_no_numbers_are_refused() {
     for bad in [f32::NAN, f32::INFINITY, -2e6] {
         let motion = Motion::Static { position: Vec3::new(0.0, bad, 0.0) };
-        let vertex = NewVertex { slot: VertexSlot(0), instance: InstanceId(0), motion };
-        assert_refused(
-            &bytes_of(GeometryDelta { new_vertices: vec![vertex], ..Default::default() }),
-            "a vertex's position is not valid",
-        );
+        let vertex = NewVertex { slot: VertexSlot(0), instance: InstanceId(0), number: 0, motion };
+        let delta = GeometryDelta { new_vertices: vec![vertex], ..Default::default() };
+        let (mut sections, mut bits) = (empty_sections(), [0; Part::ALL.len()]);
+        let mut coder = RangeEncoder::new(&mut sections[CODED], &mut bits);
+        let memory = ClientMemory::new(VERTEX_SLOTS, PATCH_SLOTS);
+        // A server refuses to say so, after it has.
+        assert!(GeometryCoding::new(VERTEX_SLOTS, PATCH_SLOTS).code(&mut coder, &memory, &delta).is_err());
+        coder.finish();
+        let bytes = put_header_and([0, 1], &GeometryDelta::default(), &sections);
+        assert_refused(&bytes, "a vertex's position is not valid");
     }
 }
 
 #[test]
 fn runs_of_slots_cost_nothing_per_vertex() {
     let new_vertices = (0..1000)
-        .map(|slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: Motion::Sampled })
+        .map(|slot| NewVertex {
+            slot: VertexSlot(slot),
+            instance: InstanceId(0),
+            number: slot,
+            motion: Motion::Sampled,
+        })
         .collect();
     let instances = vec![InstanceInfo { instance: InstanceId(0), step_m: 0.001 }];
     let mut coder = DeltaEncoder::new(1000, 1);
@@ -504,7 +557,7 @@ fn runs_of_slots_cost_nothing_per_vertex() {
 }
 
 #[test]
-#[should_panic(expected = "slot 9 is free")]
+#[should_panic(expected = "contradict the memory")]
 fn a_server_that_contradicts_itself_is_a_bug() {
     bytes_of(GeometryDelta { evicted_vertices: vec![VertexSlot(9)], ..Default::default() });
 }

@@ -14,7 +14,7 @@ const INSTANCE: InstanceId = InstanceId(9);
 fn enters(step_m: f32) -> GeometryDelta {
     GeometryDelta {
         instances: vec![InstanceInfo { instance: INSTANCE, step_m }],
-        new_vertices: vec![NewVertex { slot: SLOT, instance: INSTANCE, motion: Motion::Sampled }],
+        new_vertices: vec![NewVertex { slot: SLOT, instance: INSTANCE, number: 0, motion: Motion::Sampled }],
         ..GeometryDelta::default()
     }
 }
@@ -82,7 +82,7 @@ fn a_new_step_concerns_the_vertices_that_are_there() {
     let mut memory = ClientMemory::new(8, 1);
     assert_eq!(memory.apply(&enters(0.0005)).unwrap(), Entered { sampled: vec![SLOT], rescaled: vec![] });
     let step = InstanceInfo { instance: INSTANCE, step_m: 0.00025 };
-    let other = NewVertex { slot: VertexSlot(6), instance: INSTANCE, motion: Motion::Sampled };
+    let other = NewVertex { slot: VertexSlot(6), instance: INSTANCE, number: 6, motion: Motion::Sampled };
     let delta =
         GeometryDelta { instances: vec![step], new_vertices: vec![other], ..GeometryDelta::default() };
     let entered = memory.apply(&delta).unwrap();
@@ -133,7 +133,7 @@ fn with_rest(change: fn(&mut RestVertex)) -> GeometryDelta {
     };
     change(&mut rest);
     let motion = Motion::Skinned { rest: rest.rest };
-    let vertex = NewVertex { slot: SLOT, instance: INSTANCE, motion };
+    let vertex = NewVertex { slot: SLOT, instance: INSTANCE, number: 0, motion };
     GeometryDelta { new_rests: vec![rest], new_vertices: vec![vertex], ..GeometryDelta::default() }
 }
 

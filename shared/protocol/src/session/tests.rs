@@ -460,6 +460,7 @@ fn a_turn_takes_in_so_many_records_and_a_delta_always_whole() {
         let vertex = |slot| NewVertex {
             slot: VertexSlot(slot),
             instance: InstanceId(0),
+            number: slot,
             motion: Motion::Static { position: glam::Vec3::ONE },
         };
         let new_vertices = (frame * 2..frame * 2 + 2).map(vertex).collect();

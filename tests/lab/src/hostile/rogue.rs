@@ -7,7 +7,7 @@ use shadecast_protocol::PROTOCOL_VERSION;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::delta::{Delta, DeltaEncoder};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex};
-use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
+use shadecast_protocol::ids::{InstanceId, MeshId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::limits::{MAX_NEW_SAMPLE_GRIDS, MAX_PATCH_SLOTS, MAX_VERTEX_SLOTS};
 use shadecast_protocol::message::{
     Codec, Environment, MotionMemory, ResumeSecret, ServerDatagram, ServerOffer, Welcome,
@@ -181,7 +181,7 @@ impl Run {
                     session,
                     welcome: None,
                     sender: None,
-                    deltas: DeltaEncoder::new(3, 1),
+                    deltas: DeltaEncoder::new(3, 1).with_atlas(AtlasExtent::MIN),
                     turn: 0,
                     encoder: None,
                     hollow: None,
@@ -348,6 +348,7 @@ fn triangle() -> GeometryDelta {
     let vertex = |(slot, position)| NewVertex {
         slot: VertexSlot(slot),
         instance: InstanceId(0),
+        number: slot,
         motion: Motion::Static { position: Vec3::from_array(position) },
     };
     GeometryDelta {
@@ -356,6 +357,8 @@ fn triangle() -> GeometryDelta {
             .map(|kind| NewPatch {
                 slot: PatchSlot(0),
                 instance: InstanceId(0),
+                mesh: MeshId(0),
+                number: 0,
                 kind,
                 vertices: slots,
                 double_sided: true,
@@ -375,8 +378,12 @@ fn hollow_deltas(slots: u32) -> [Vec<u8>; 2] {
     let samples: Vec<_> = (0..MAX_NEW_SAMPLE_GRIDS as i32)
         .map(|grid| SampleBatch { grid: GridIndex(grid), values: values.clone() })
         .collect();
-    let vertex =
-        |slot| NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: Motion::Sampled };
+    let vertex = |slot| NewVertex {
+        slot: VertexSlot(slot),
+        instance: InstanceId(0),
+        number: slot,
+        motion: Motion::Sampled,
+    };
     let first = GeometryDelta {
         instances: vec![InstanceInfo { instance: InstanceId(0), step_m: 1e-3 }],
         new_vertices: (0..slots).map(vertex).collect(),

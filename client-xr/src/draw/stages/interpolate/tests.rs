@@ -46,7 +46,12 @@ fn random_news(dice: &mut Dice, update: u32, step: i32) -> (Vec<NewVertex>, Vec<
     let enters = |dice: &mut Dice| update == 0 || dice.below(20) == 0;
     let entering = (0..SLOTS)
         .filter_map(|slot| {
-            let vertex = NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion: how(dice) };
+            let vertex = NewVertex {
+                slot: VertexSlot(slot),
+                instance: InstanceId(0),
+                number: slot,
+                motion: how(dice),
+            };
             enters(dice).then_some(vertex)
         })
         .collect();
@@ -176,7 +181,12 @@ fn random_predictions(dice: &mut Dice, update: u32, time: WorldTime, known: &mut
                 true => geometry::Motion::Predicted,
                 false => geometry::Motion::Static { position: Vec3::splat(slot as f32) },
             };
-            new_vertices.push(NewVertex { slot: VertexSlot(slot), instance: InstanceId(0), motion });
+            new_vertices.push(NewVertex {
+                slot: VertexSlot(slot),
+                instance: InstanceId(0),
+                number: slot,
+                motion,
+            });
         }
     }
     let told = (0..SLOTS).filter(|slot| known[*slot as usize] && dice.below(8) > 0).collect::<Vec<_>>();

@@ -601,7 +601,8 @@ fn skinning_touches_skinned_vertices_only() {
     let clip = Source::Clips(Schedule::new(playback(0, 0, 0)));
     bench.motion.skinned().set_instance(InstanceId(0), instance(0, clip)).unwrap();
     bench.enter(&[&model.vertices[..3]]);
-    let vertex = |slot, motion| NewVertex { slot: VertexSlot(slot), instance: InstanceId(1), motion };
+    let vertex =
+        |slot, motion| NewVertex { slot: VertexSlot(slot), instance: InstanceId(1), number: slot, motion };
     let still = geometry::Motion::Static { position: Vec3::new(1.0, 2.0, 3.0) };
     let sample = |step| PositionBatch {
         grid: GridIndex(step),
