@@ -12,7 +12,7 @@ use std::collections::BTreeSet;
 use std::sync::{Arc, Mutex};
 
 /// What a vertex takes that enters, about, bytes: its place, and what it is before skinning.
-const VERTEX_BYTES: usize = 3;
+const VERTEX_BYTES: usize = 1;
 const REST_BYTES: usize = 12;
 
 /// See the module.

@@ -25,7 +25,7 @@ use crate::support::pool::Pool;
 use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::bit_set::BitSet;
 use shadecast_protocol::delta::{DeltaEncoder, EncodedDelta};
-use shadecast_protocol::geometry::{GeometryDelta, Motion, NewPatch, NewVertex};
+use shadecast_protocol::geometry::{GeometryDelta, Motion, NewPatch, NewVertex, on_static_grid};
 use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::predicted::PREDICTED_BYTES;
@@ -39,8 +39,8 @@ const AHEAD_WATER: usize = 16;
 /// What is put behind may take one of so many bytes that are left.
 const BEHIND_PART: usize = 4;
 /// What geometry takes on the wire, about, bytes: a patch, and a vertex that does not move.
-const PATCH_BYTES: usize = 12;
-const STATIC_VERTEX_BYTES: usize = 14;
+const PATCH_BYTES: usize = 4;
+const STATIC_VERTEX_BYTES: usize = 5;
 /// The first samples of a vertex.
 const SAMPLED_VERTEX_BYTES: usize = 30;
 
@@ -578,7 +578,7 @@ impl Residency {
         let predicts = self.predicts();
         let skinning = self.skinning.as_mut().filter(|skinning| skinning.is_skinned(instance));
         let motion = match (geometry.static_position(vertex), skinning) {
-            (Some(position), _) => Motion::Static { position },
+            (Some(position), _) => Motion::Static { position: on_static_grid(position) },
             (None, Some(skinning)) => {
                 skinning.enter(instance, vertex.0 - geometry.first_vertex(instance).0, delta)
             }

@@ -341,7 +341,7 @@ fn limited_updates_bring_the_largest_blocks_first() {
 
 #[test]
 fn reserved_patches_come_with_the_next_update() {
-    for (geometry_bytes, slots) in [(2000, 8192), (usize::MAX, 60)] {
+    for (geometry_bytes, slots) in [(400, 8192), (usize::MAX, 60)] {
         let mut residency = Residency::new(COUNTS, slots, slots);
         residency.set_budget(Budget { geometry_bytes, ..Budget::UNLIMITED });
         let level = |first: u32, count: u32| (first..first + count).map(ScenePatch);
@@ -361,7 +361,7 @@ fn reserved_patches_come_with_the_next_update() {
 #[test]
 fn prefetched_patches_arrive_without_blocks_and_stay() {
     let mut residency = Residency::new(COUNTS, 1024, 1024);
-    residency.set_budget(Budget { geometry_bytes: 500, ..Budget::UNLIMITED });
+    residency.set_budget(Budget { geometry_bytes: 200, ..Budget::UNLIMITED });
     let ahead: Vec<ScenePatch> = (0..60).map(ScenePatch).collect();
     let (mut updates, mut came) = (0, 0);
     while residency.lacking(&ahead) > 0 {

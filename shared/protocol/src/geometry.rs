@@ -4,11 +4,15 @@
 use crate::atlas::{Block, PatchKind};
 use crate::coverage::Coverage;
 use crate::ids::{InstanceId, MeshId, PatchSlot, RestId, UpdateId, VertexSlot};
+use crate::limits::STATIC_STEPS_PER_M;
 use crate::motion::predicted::PredictedVertex;
 use crate::motion::rest::{MeshInfo, RestVertex};
 use crate::motion::skeleton::{SkeletonInfo, SkinnedInstance};
 use crate::time::WorldTime;
 use glam::Vec3;
+
+/// Whole numbers of 32 bits beyond this lie two and more apart.
+const MOST_STATIC_STEPS: f32 = 16_777_216.0;
 
 /// What one update changes in the client's memory. Applied in the order: patch evictions, vertex evictions, instances,
 /// what is skinned, rest vertices, new vertices, new patches, placements, coverage, settled blocks, predictions. Deltas follow each other without a gap,
@@ -41,6 +45,23 @@ pub struct GeometryDelta {
     pub settled: Vec<Settled>,
     /// Where predicted vertices will be, ascending by slots; whoever is not among them keeps what was told.
     pub predictions: Vec<PredictedVertex>,
+}
+
+/// The place nearest to `position` that a static vertex is told in a few bits: at most 31 um off along each axis. What lies far out
+/// stays as it is: there numbers of 32 bits are coarser than the grid.
+pub fn on_static_grid(position: Vec3) -> Vec3 {
+    // With 0 added, since -0 is not on the grid.
+    let on_grid = (position * STATIC_STEPS_PER_M).round() / STATIC_STEPS_PER_M + 0.0;
+    if grid_steps(on_grid).is_some() { on_grid } else { position }
+}
+
+/// The steps of a place on the grid of static vertices; `None` beside it, and far out.
+pub(crate) fn grid_steps(position: Vec3) -> Option<[i32; 3]> {
+    let steps = position * STATIC_STEPS_PER_M;
+    let is_on_grid = steps.to_array().iter().all(|c| c.fract() == 0.0 && c.abs() < MOST_STATIC_STEPS);
+    // A step of -0 would come back as 0.
+    let is_plain = position.to_array().iter().all(|c| c.to_bits() != (-0.0f32).to_bits());
+    (is_on_grid && is_plain).then(|| steps.as_ivec3().to_array())
 }
 
 impl GeometryDelta {

@@ -5,6 +5,8 @@
 
 pub use shadecast_model::limits::{MAX_COORDINATE_M, MAX_INSTANCES, MAX_LIGHTS, MAX_PRINTED_CHARS};
 
+/// Static vertices lie on a grid of so many steps in a metre, wherever 32 bits are as fine: of 61 um.
+pub const STATIC_STEPS_PER_M: f32 = 16_384.0;
 /// Vertices that a client keeps at most. Slots are numbered from 0.
 pub const MAX_VERTEX_SLOTS: u32 = 524_288;
 /// Vertices that a client keeps at most where samples are sent for any.

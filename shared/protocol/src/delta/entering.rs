@@ -5,9 +5,9 @@ use super::Part;
 use super::known::{CORNERS, Known, MeshPatch, VertexKey};
 use super::slots::{Slots, code_slot};
 use crate::atlas::PatchKind;
-use crate::geometry::{GeometryDelta, Motion, NewPatch, NewVertex};
+use crate::geometry::{GeometryDelta, Motion, NewPatch, NewVertex, grid_steps};
 use crate::ids::{InstanceId, MeshId, PatchSlot, RestId, VertexSlot};
-use crate::limits::{MAX_COORDINATE_M, MAX_INSTANCES};
+use crate::limits::{MAX_COORDINATE_M, MAX_INSTANCES, STATIC_STEPS_PER_M};
 use crate::range::{Chance, Coder, Number, Symbol};
 use crate::wire::{WireError, invalid};
 use glam::Vec3;
@@ -53,6 +53,14 @@ struct CornerModel {
     slot: Number,
 }
 
+/// Where vertices that do not move lie: on a grid, each near the one before.
+#[derive(Clone, Debug, Default)]
+struct PlaceModel {
+    is_on_grid: Chance,
+    axes: [Number; 3],
+    before: [i32; 3],
+}
+
 #[derive(Clone, Debug, Default)]
 struct VertexModel {
     others: Number,
@@ -62,6 +70,7 @@ struct VertexModel {
     motion: Symbol<4>,
     is_rest_foreseen: Chance,
     rest: Number,
+    place: PlaceModel,
 }
 
 /// See the module. Sized at connection.
@@ -114,6 +123,32 @@ impl SlotModel {
         let slot = code_slot(coder, number, slots.others(), (cursor, slots.count()), told)?;
         self.has_gap = slot != first;
         Ok(slot)
+    }
+}
+
+impl PlaceModel {
+    /// On the grid the distance to the vertex before, anywhere else all bits.
+    fn code(&mut self, coder: &mut impl Coder, told: Option<Motion>) -> Result<Vec3, WireError> {
+        let told = match told {
+            Some(Motion::Static { position }) => position,
+            _ => Vec3::ZERO,
+        };
+        let on_grid = grid_steps(told);
+        let position = if coder.bit(&mut self.is_on_grid, on_grid.is_some()) {
+            let steps = on_grid.unwrap_or_default();
+            for (axis, model) in self.axes.iter_mut().enumerate() {
+                let apart = model.code_signed(coder, steps[axis].wrapping_sub(self.before[axis]));
+                self.before[axis] = self.before[axis].wrapping_add(apart);
+            }
+            Vec3::from_array(self.before.map(|steps| steps as f32 / STATIC_STEPS_PER_M))
+        } else {
+            Vec3::from_array(told.to_array().map(|c| f32::from_bits(coder.raw(32, c.to_bits()))))
+        };
+        // Written so that a NaN fails too.
+        if position.to_array().iter().all(|c| c.abs() <= MAX_COORDINATE_M) {
+            return Ok(position);
+        }
+        Err(invalid("a vertex's position", format!("{position} is not within {MAX_COORDINATE_M} m")))
     }
 }
 
@@ -362,7 +397,7 @@ impl Entering {
         let Scene { vertices, out, known, .. } = scene;
         let slot = self.vertex.slot.code(coder, vertices, &mut out.vertex_cursor, told_slot)?;
         let motion = match self.vertex.motion.code(coder, told.map_or(STATIC, kind_of)) {
-            STATIC => Motion::Static { position: position(coder, told)? },
+            STATIC => Motion::Static { position: self.vertex.place.code(coder, told)? },
             SAMPLED => Motion::Sampled,
             PREDICTED => Motion::Predicted,
             _ => Motion::Skinned { rest: self.rest(coder, key, told) },
@@ -400,19 +435,6 @@ fn instance(number: u32) -> Result<InstanceId, WireError> {
             limit: u64::from(MAX_INSTANCES) - 1,
         }),
     }
-}
-
-fn position(coder: &mut impl Coder, told: Option<Motion>) -> Result<Vec3, WireError> {
-    let told = match told {
-        Some(Motion::Static { position }) => position,
-        _ => Vec3::ZERO,
-    };
-    let position = Vec3::from_array(told.to_array().map(|c| f32::from_bits(coder.raw(32, c.to_bits()))));
-    // Written so that a NaN fails too.
-    if position.to_array().iter().all(|c| c.abs() <= MAX_COORDINATE_M) {
-        return Ok(position);
-    }
-    Err(invalid("a vertex's position", format!("{position} is not within {MAX_COORDINATE_M} m")))
 }
 
 fn check_room(what: &'static str, count: u32, slots: &Slots) -> Result<(), WireError> {

@@ -1,7 +1,7 @@
 //! The bytes of an update: geometry ([`crate::geometry`]) and samples ([`crate::motion`]).
 //!
 //! A header has the lengths of its sections; the sections follow: explicit little-endian blocks and varints. Patches, vertices and
-//! placements are one section of coded bits ([`coding`]): both sides know the meshes told so far, and where the atlas has room.
+//! placements are one section of coded bits (`coding.rs`): both sides know the meshes told so far, and where the atlas has room.
 //! Both sides keep the client's memory and the history of its samples. So samples need no slots, and a delta that contradicts
 //! the memory is refused.
 

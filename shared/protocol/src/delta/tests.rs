@@ -2,9 +2,9 @@ use super::sections::put_slots;
 use super::*;
 use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use crate::coverage::Coverage;
-use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Settled};
+use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Settled, on_static_grid};
 use crate::ids::{InstanceId, MeshId, PatchSlot, VertexSlot};
-use crate::limits::{MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS};
+use crate::limits::{MAX_INSTANCES, MAX_NEW_SAMPLE_GRIDS, STATIC_STEPS_PER_M};
 use crate::motion::predicted::{PredictedVertex, Prediction};
 use crate::testing::{Dice, damaged};
 use crate::time::GridIndex;
@@ -537,6 +537,39 @@ fn positions_that_are_no_numbers_are_refused() {
         coder.finish();
         let bytes = put_header_and([0, 1], &GeometryDelta::default(), &sections);
         assert_refused(&bytes, "a vertex's position is not valid");
+    }
+}
+
+#[test]
+fn static_vertices_on_the_grid_take_few_bytes_and_others_come_as_they_are() {
+    let line = |apart_m: f32, place: fn(Vec3) -> Vec3| {
+        let vertex = |slot: u32| {
+            let position =
+                place(Vec3::new(3.1, 1.7, -4.0) + Vec3::new(1.0, 0.3, -0.6) * slot as f32 * apart_m);
+            NewVertex { motion: Motion::Static { position }, ..static_vertex(slot) }
+        };
+        let delta = GeometryDelta { new_vertices: (0..500).map(vertex).collect(), ..Default::default() };
+        let encoded = DeltaEncoder::new(600, 1).encode(&delta.clone().into());
+        let decoded = DeltaDecoder::new(600, 1).decode(&encoded.bytes).unwrap();
+        assert_eq!(decoded.geometry, delta);
+        encoded.sizes.vertex_bytes as f32 / 500.0
+    };
+    let [near, far] = [0.01, 0.3].map(|apart_m| line(apart_m, on_static_grid));
+    assert!(near < 4.5 && far < 6.5, "{near} and {far} bytes a vertex");
+    assert!(line(0.01, |place| place) > 11.9, "beside the grid");
+    let rounded_to_zero = on_static_grid(Vec3::new(-1e-6, -0.0, 1.0));
+    assert_eq!(rounded_to_zero.to_array().map(f32::to_bits), Vec3::Z.to_array().map(f32::to_bits));
+    // Far out, on an axis, and the zero that has a sign.
+    for place in [Vec3::splat(9e5), Vec3::new(0.0, -0.0, 1.0), Vec3::new(1023.9, -1023.9, 0.3)] {
+        let position = on_static_grid(place);
+        assert!((position - place).abs().max_element() <= 0.5 / STATIC_STEPS_PER_M, "{place}");
+        let vertex = NewVertex { motion: Motion::Static { position }, ..static_vertex(0) };
+        let bytes = bytes_of(GeometryDelta { new_vertices: vec![vertex], ..Default::default() });
+        let decoded = DeltaDecoder::new(VERTEX_SLOTS, PATCH_SLOTS).decode(&bytes).unwrap();
+        let Motion::Static { position: told } = decoded.geometry.new_vertices[0].motion else {
+            unreachable!()
+        };
+        assert_eq!(told.to_array().map(f32::to_bits), position.to_array().map(f32::to_bits), "{place}");
     }
 }
 
