@@ -183,8 +183,6 @@ struct PassInputs<'a> {
     turned_frusta: usize,
     /// Both eyes are one.
     one_eye: bool,
-    /// The times of the update, where they are far apart.
-    rare_times: Option<&'a [ViewTime; VIEW_TIMES]>,
 }
 
 /// An update that is on display for longer shows surfaces that no predicted view has seen: what moves turns them into view,
@@ -315,7 +313,8 @@ impl VisibilityStep {
             self.switch_at_once(&mut pass.lods);
         }
         let Some(glance) = glance else { return Ok(false) };
-        pass.ticket = self.submit_surround_pass(world, glance, &pass.lods, sampled)?;
+        pass.ticket =
+            self.submit_surround_pass(world, glance, &pass.lods, (&*sampled, &start.views.times))?;
         *aim = Aim::Around;
         Ok(true)
     }
@@ -352,6 +351,10 @@ impl VisibilityStep {
         lods.refill(&world.scene().numbering, self.detail.lods());
         let mut drawn = std::mem::take(&mut self.lists.drawn);
         lods.scenes(&mut drawn, |instance| self.culling.needed().has(instance));
+        self.lists.rings.clear();
+        if span_ns(world, &views.times) > RARE_NS {
+            self.lists.rings.extend(rings(world, &lods, &views.times));
+        }
         let inputs = PassInputs {
             lods: &lods,
             scenes: &drawn,
@@ -360,21 +363,25 @@ impl VisibilityStep {
             times: self.pass_times,
             turned_frusta: self.turned_frusta,
             one_eye: views.eyes.iter().all(|[left, right]| left == right),
-            rare_times: Some(&views.times).filter(|times| span_ns(world, times) > RARE_NS),
         };
         let ticket = self.submit_pass(recorder, world, inputs)?;
         self.lists.drawn = drawn;
         Ok(VisibilityPass { lods, ticket })
     }
 
-    /// Submits a visibility pass in two directions around the head, in view or not.
+    /// Submits a visibility pass in two directions around the head, in view or not. Rare updates have seen few places of the sweep:
+    /// a ring adds what lies between the patches that were seen.
     fn submit_surround_pass(
         &mut self,
         world: &World,
         glance: &Glance,
         lods: &LodSet,
-        sampled: &Sampled,
+        (sampled, times): (&Sampled, &[ViewTime; VIEW_TIMES]),
     ) -> Result<Ticket, GpuError> {
+        self.lists.rings.clear();
+        if span_ns(world, times) > RARE_NS {
+            self.lists.rings.extend(lods.shown().map(|lod| (*lod, 1)));
+        }
         self.views.write_glance(glance);
         let sight = Sight::of(glance.views.iter());
         let mut drawn = std::mem::take(&mut self.lists.drawn);
@@ -382,16 +389,8 @@ impl VisibilityStep {
         drawn[0].extend(lods.shown());
         let places = [sampled.places[VIEW_TIMES / 2]; VIEW_TIMES];
         let (scenes, times) = (&drawn, ONLY_THE_FIRST);
-        let inputs = PassInputs {
-            lods,
-            scenes,
-            places,
-            sight: &sight,
-            times,
-            turned_frusta: 0,
-            one_eye: false,
-            rare_times: None,
-        };
+        let inputs =
+            PassInputs { lods, scenes, places, sight: &sight, times, turned_frusta: 0, one_eye: false };
         let ticket = self.submit_pass(world.gpu().record()?, world, inputs)?;
         self.lists.drawn = drawn;
         Ok(ticket)
@@ -402,7 +401,7 @@ impl VisibilityStep {
         &mut self,
         mut recorder: Recorder,
         world: &World,
-        PassInputs { lods, scenes, places, sight, times, turned_frusta, one_eye, rare_times }: PassInputs<'_>,
+        PassInputs { lods, scenes, places, sight, times, turned_frusta, one_eye }: PassInputs<'_>,
     ) -> Result<Ticket, GpuError> {
         let (scene, animation) = (world.scene(), world.animation());
         let within = (self.policy.clusters(world), sight);
@@ -427,9 +426,7 @@ impl VisibilityStep {
             }
         }
         recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE);
-        if let Some(times) = rare_times {
-            self.lists.rings.clear();
-            self.lists.rings.extend(rings(world, lods, times));
+        if !self.lists.rings.is_empty() {
             recorder.scope("spread", |r| self.spread.record(r, scene, &self.lists.rings));
         }
         recorder.scope("extents", |r| {
@@ -479,15 +476,16 @@ impl VisibilityStep {
     }
 }
 
-/// Rings of patches that come into view from the first of these times to the last: of what moves, and one of what it uncovers.
+/// Rings of patches that come into view from the first of these times to the last: of what moves, and one of what it uncovers. An LOD
+/// that is to be shown next gets them too, since it must be whole when it is.
 fn rings<'a>(
     world: &'a World,
     lods: &'a LodSet,
     times: &'a [ViewTime; VIEW_TIMES],
 ) -> impl Iterator<Item = (LodInstance, u32)> + 'a {
     let of_motion = (span_ns(world, times) / RING_NS).min(MOST_RINGS) as u32;
-    let shown = lods.all().iter().filter(|lod| lod.is_shown);
-    shown.map(move |lod| (*lod, if world.instance_stands(lod.instance, times) { 1 } else { of_motion }))
+    let rings_of = move |instance| if world.instance_stands(instance, times) { 1 } else { of_motion };
+    lods.all().iter().map(move |lod| (*lod, rings_of(lod.instance)))
 }
 
 /// From the first of an update's predicted times to the last.

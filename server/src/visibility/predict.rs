@@ -28,6 +28,9 @@ const STILL_M_S: f32 = 2e-3;
 const STILL_RAD_S: f32 = 2e-3;
 /// A head is never predicted farther than this, whatever its path looks like.
 const MAX_HORIZON_NS: i64 = 400_000_000;
+/// A turning head may stop at once or turn on. Beyond the horizon the first view of an update comes back to where the head looks now,
+/// and the last shows where it looks if it turns on for so long: between them is what a turn brings into view.
+const MAX_TURN_HORIZON_NS: i64 = 2 * MAX_HORIZON_NS;
 /// The world is predicted farther, since its clips are known: up to this, for updates that take long and stay long.
 const MAX_DELAY_NS: i64 = 4_000_000_000;
 
@@ -181,7 +184,8 @@ impl HeadTrack {
         let eyes = std::array::from_fn(|number| {
             // The head goes on while the world stands.
             let moved_ns = times[number].time(grid).since(clock.world_time(shown[number]));
-            let head = extrapolate(&state, shown[number].plus_ns(moved_ns));
+            let at = shown[number].plus_ns(moved_ns);
+            let head = extrapolate_within(&state, at, turn_horizon_ns(number, at.since(state.time)));
             state.eyes.map(|eye| view(head, eye, margin))
         });
         let world_from_head = extrapolate(&state, middle);
@@ -243,13 +247,27 @@ fn view(world_from_head: Pose, eye: Eye, margin: f32) -> View {
 
 /// The head at `time`, by constant linear and angular velocity.
 pub(crate) fn extrapolate(state: &HeadState, time: ServerTime) -> Pose {
-    let seconds = time.since(state.time).clamp(-MAX_HORIZON_NS, MAX_HORIZON_NS) as f32 * 1e-9;
-    let turn = state.angular_velocity.clamp_length_max(MAX_TURN_RAD_S) * seconds;
-    let step: Vec3 = state.linear_velocity.clamp_length_max(MAX_SPEED_M_S) * seconds;
+    extrapolate_within(state, time, MAX_HORIZON_NS)
+}
+
+/// The same of a head that turns no longer than so many nanoseconds.
+fn extrapolate_within(state: &HeadState, time: ServerTime, turn_horizon_ns: i64) -> Pose {
+    let seconds = |most_ns: i64| time.since(state.time).clamp(-most_ns, most_ns) as f32 * 1e-9;
+    let turn = state.angular_velocity.clamp_length_max(MAX_TURN_RAD_S) * seconds(turn_horizon_ns);
+    let step: Vec3 = state.linear_velocity.clamp_length_max(MAX_SPEED_M_S) * seconds(MAX_HORIZON_NS);
     let pose = state.world_from_head;
     Pose {
         position: pose.position + step,
         orientation: (Quat::from_scaled_axis(turn) * pose.orientation).normalize(),
+    }
+}
+
+/// How long a head is taken to turn for this view of an update that is on display so much later than the head was reported.
+fn turn_horizon_ns(view: usize, later_ns: i64) -> i64 {
+    match view {
+        0 => (MAX_TURN_HORIZON_NS - later_ns).clamp(0, MAX_HORIZON_NS),
+        view if view + 1 == VIEW_TIMES => MAX_TURN_HORIZON_NS,
+        _ => MAX_HORIZON_NS,
     }
 }
 

@@ -2,6 +2,7 @@ use super::*;
 use shadecast_protocol::ids::DiscontinuityId;
 use shadecast_protocol::time::DEFAULT_GRID;
 use shadecast_protocol::world_clock::Steer;
+use std::f32::consts::FRAC_PI_2;
 
 fn state(sequence: u32, seconds: f64, x: f32, turn_rad_s: f32) -> HeadState {
     let eye = |x| Eye {
@@ -194,6 +195,31 @@ fn a_late_update_predicts_the_world_as_far_and_the_head_no_farther_than_it_can_b
     let last = views.times[VIEW_TIMES - 1].time(DEFAULT_GRID);
     assert!(last.since(views.begun) >= 2 * delay_ns, "{:?}", views.times);
     assert!((views.world_from_head.position.x - MAX_HORIZON_NS as f32 * 1e-9).abs() < 1e-3);
+}
+
+#[test]
+fn views_of_an_update_that_stays_long_reach_from_a_head_that_stops_to_one_that_turns_on() {
+    let turned_degrees = |delay_ns: i64| {
+        let mut track = HeadTrack::default();
+        let begun = ServerTime(1_000_000_000);
+        (0..3).for_each(|update| {
+            let start = begun.plus_ns(update * delay_ns);
+            track.displayed(start, start.plus_ns(delay_ns));
+        });
+        let now = state(1, 1.0, 0.0, FRAC_PI_2);
+        track.head(now);
+        let views = track.predict(begun, &WorldClock::default(), DEFAULT_GRID, 0.0).expect("a head is known");
+        let from = now.world_from_head.orientation;
+        views.eyes.map(|[left, _]| left.world_from_eye.orientation.angle_between(from).to_degrees().round())
+    };
+    assert_eq!(turned_degrees(1_000_000_000), [0.0, 36.0, 72.0]);
+    assert_eq!(turned_degrees(500_000_000), [27.0, 36.0, 72.0]);
+    // Soon enough on display, it is predicted as it turns.
+    let [first, middle, last] = turned_degrees(100_000_000);
+    assert!(
+        (6.0..=9.0).contains(&first) && first < middle && middle < last && (18.0..=21.0).contains(&last),
+        "{first} {middle} {last}"
+    );
 }
 
 #[test]
