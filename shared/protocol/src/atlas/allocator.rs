@@ -57,8 +57,17 @@ impl Superblock {
         self.taken[place as usize / 64] >> (place % 64) & 1 != 0
     }
 
-    fn lowest_free(&self) -> Option<u32> {
-        (0..self.places()).find(|place| !self.is_taken(*place))
+    fn free_places(&self) -> u32 {
+        self.places() - self.count
+    }
+
+    /// The free place that has so many before it.
+    fn nth_free(&self, number: u32) -> Option<u32> {
+        (0..self.places()).filter(|place| !self.is_taken(*place)).nth(number as usize)
+    }
+
+    fn free_before(&self, place: u32) -> u32 {
+        (0..place).filter(|place| !self.is_taken(*place)).count() as u32
     }
 }
 
@@ -123,15 +132,21 @@ impl Atlas {
             None => self.open_superblock(size)?,
         };
         let superblock = self.superblock(corner).expect("it is in use");
-        let place = superblock.lowest_free().expect("open superblocks have a block free");
-        let (column, row) = (place % superblock.columns(), place / superblock.columns());
+        let place = superblock.nth_free(0).expect("open superblocks have a block free");
         self.take_place(corner, place);
+        Some(Self::block_at(corner, place, size))
+    }
+
+    /// The block at a place of a superblock in use.
+    fn block_at(corner: (u32, u32), place: u32, size: BlockSize) -> Block {
+        let columns = 1 << (side_log2(size) - u32::from(size.width_log2));
+        let (column, row) = (place % columns, place / columns);
         let address = BlockAddress {
             page: 0,
             x: (corner.1 + column * size.width()) as u16,
             y: (corner.0 + row * size.height()) as u16,
         };
-        Some(Block { address, size })
+        Block { address, size }
     }
 
     /// Whether a block is one that could be allocated here: within the atlas, at multiples of its sides.
@@ -174,6 +189,36 @@ impl Atlas {
         if superblock.count == superblock.places() {
             self.open[index_of(superblock.size)].remove(cell);
         }
+    }
+
+    /// How many free places for blocks of its size come before this one, in superblocks that are in use; `None` where it is none. It must be
+    /// one that [`Self::can_have`] allows.
+    pub fn rank(&self, block: Block) -> Option<u32> {
+        let corner = self.superblock_of(block);
+        let superblock = self.superblock(corner).filter(|superblock| superblock.size == block.size)?;
+        let place = superblock.place_of(corner, block);
+        let before = self.open[index_of(block.size)].iter().take_while(|cell| *cell < self.cell(corner));
+        let before: u32 =
+            before.filter_map(|cell| self.used[cell].as_ref()).map(Superblock::free_places).sum();
+        (!superblock.is_taken(place)).then(|| before + superblock.free_before(place))
+    }
+
+    /// Takes the free place that has so many before it: [`Self::rank`].
+    pub fn take_nth(&mut self, size: BlockSize, rank: u32) -> Option<Block> {
+        let mut before = rank;
+        let open = self.open[index_of(size)].iter();
+        let (cell, place) = open.filter_map(|cell| Some((cell, self.used[cell].as_ref()?))).find_map(
+            |(cell, superblock)| match superblock.free_places() {
+                free if before < free => Some((cell, superblock.nth_free(before)?)),
+                free => {
+                    before -= free;
+                    None
+                }
+            },
+        )?;
+        let corner = self.corner(cell);
+        self.take_place(corner, place);
+        Some(Self::block_at(corner, place, size))
     }
 
     /// Gives a block back.
@@ -317,6 +362,28 @@ fn side_log2(size: BlockSize) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn free_places_are_numbered_and_taken_by_their_number() {
+        let size = BlockSize::new(5, 3).expect("a size");
+        let mut atlas = Atlas::new(AtlasExtent::MIN);
+        let mut blocks: Vec<Block> = (0..40).map(|_| atlas.allocate(size).expect("room")).collect();
+        // 16 places in each superblock: 40 fill two and a half.
+        assert_eq!(atlas.rank(blocks[3]), None, "it is taken");
+        [3, 17, 18, 35].into_iter().for_each(|index| atlas.free(blocks[index]));
+        let free: Vec<Block> = [3, 17, 18, 35].map(|index| blocks[index]).to_vec();
+        let ranks: Vec<_> = free.iter().map(|block| atlas.rank(*block)).collect();
+        assert_eq!(ranks, [Some(0), Some(1), Some(2), Some(3)]);
+        assert_eq!(atlas.take_nth(size, 2), Some(free[2]));
+        assert_eq!((atlas.rank(free[2]), atlas.rank(free[3])), (None, Some(2)));
+        assert_eq!(atlas.take_nth(size, 0), Some(free[0]));
+        assert_eq!(atlas.take_nth(size, 10), None, "so many are not free");
+        // Of another size, and of a superblock that is not in use.
+        let other = Block { size: BlockSize::new(3, 3).expect("a size"), ..free[1] };
+        assert_eq!(atlas.rank(other), None);
+        blocks.push(Block { address: BlockAddress { page: 0, x: 256, y: 256 }, size });
+        assert_eq!(atlas.rank(blocks[40]), None);
+    }
 
     /// xorshift64*, so that the trace is the same everywhere.
     struct Random(u64);

@@ -1,7 +1,7 @@
 //! Blocks of patches: sizes against those of before, addresses against those that the allocator would give.
 //!
 //! The server frees what leaves or changes, then allocates the blocks in view and those of the surround, each in the order of
-//! [`order`]. So most addresses are foreseen in one bit. Blocks that the client does not know yet are skipped.
+//! [`order`]. So most addresses are foreseen in one bit. The others are told among the free places for their size.
 
 use super::Part;
 use super::known::Known;
@@ -14,12 +14,8 @@ use crate::memory::ClientMemory;
 use crate::range::{Chance, Coder, Number, Symbol};
 use crate::wire::{WireError, invalid};
 use std::cmp::Reverse;
+use std::collections::BTreeMap;
 
-/// Addresses that are skipped for one block at most, and for all of a delta.
-const MOST_SKIPPED: u32 = 256;
-const MOST_SKIPPED_IN_ALL: usize = 8192;
-/// After so many searches in vain an encoder searches no more.
-const MOST_IN_VAIN: u32 = 16;
 /// Of nine steps of a size, none is meant.
 const ANOTHER_SIZE: u32 = 9;
 const WORD_BITS: u32 = 31;
@@ -62,8 +58,10 @@ pub(super) struct Placing {
     new_area: Number,
     new_width: [Number; 2],
     is_foreseen: [Chance; 4],
-    is_skipping: Chance,
-    skipped: Number,
+    is_ranked: Chance,
+    rank: Number,
+    /// By size, how many free places came before the last that was not foreseen.
+    ranks: BTreeMap<BlockSize, u32>,
     is_aligned: Chance,
 }
 
@@ -87,8 +85,9 @@ impl Placing {
             new_area: Number::default(),
             new_width: Default::default(),
             is_foreseen: Default::default(),
-            is_skipping: Chance::default(),
-            skipped: Number::default(),
+            is_ranked: Chance::default(),
+            rank: Number::default(),
+            ranks: BTreeMap::new(),
             is_aligned: Chance::default(),
         }
     }
@@ -216,12 +215,8 @@ impl Placing {
             history = history << 1 & 3 | usize::from(is_foreseen);
             !is_foreseen
         });
-        let (mut skipped, mut in_vain) = (Vec::new(), 0);
         for index in open {
-            self.search(coder, (&mut skipped, &mut in_vain), &mut placed[index])?;
-        }
-        if let Some(atlas) = &mut self.atlas {
-            skipped.into_iter().for_each(|block| atlas.free(block));
+            self.search(coder, &mut placed[index])?;
         }
         for Placed { slot, block, .. } in &*placed {
             let Some(block) = block else { continue };
@@ -248,32 +243,21 @@ impl Placing {
         is_foreseen
     }
 
-    /// Where the allocator would put it after some others, or anywhere.
-    fn search<C: Coder>(
-        &mut self,
-        coder: &mut C,
-        (skipped, in_vain): (&mut Vec<Block>, &mut u32),
-        placed: &mut Placed,
-    ) -> Result<(), WireError> {
+    /// The rest lie beside blocks that the client does not know: at another free place for their size, mostly one that has as many
+    /// before it as the last had, or anywhere.
+    fn search<C: Coder>(&mut self, coder: &mut C, placed: &mut Placed) -> Result<(), WireError> {
         let Some(block) = placed.block else { return Ok(()) };
-        let rank = if C::TELLS { self.rank(block, skipped.len(), in_vain) } else { None };
-        if coder.bit(&mut self.is_skipping, rank.is_some()) {
-            let rank = self.skipped.code(coder, rank.unwrap_or(0));
-            let atlas = self
-                .atlas
-                .as_mut()
-                .filter(|_| rank <= MOST_SKIPPED && skipped.len() + rank as usize <= MOST_SKIPPED_IN_ALL);
-            let found = atlas.and_then(|atlas| {
-                for _ in 0..rank {
-                    skipped.push(atlas.allocate(block.size)?);
-                }
-                atlas.allocate(block.size)
-            });
-            placed.block = found;
+        let atlas = self.atlas.as_ref().filter(|atlas| C::TELLS && atlas.can_have(block));
+        let rank = atlas.and_then(|atlas| atlas.rank(block));
+        if coder.bit(&mut self.is_ranked, rank.is_some()) {
+            let before = self.ranks.entry(block.size).or_default();
+            let further = self.rank.code_signed(coder, rank.unwrap_or(0).wrapping_sub(*before) as i32);
+            *before = before.wrapping_add(further as u32);
+            placed.block = self.atlas.as_mut().and_then(|atlas| atlas.take_nth(block.size, *before));
             self.held.insert(placed.slot.0);
-            return match found {
+            return match placed.block {
                 Some(_) => Ok(()),
-                None => Err(invalid("the place of a block", format!("there are not {rank} before it"))),
+                None => Err(invalid("the place of a block", format!("there are not {before} before it"))),
             };
         }
         let block = Block { address: self.anywhere(coder, block), ..block };
@@ -285,28 +269,6 @@ impl Placing {
             self.held.insert(placed.slot.0);
         }
         Ok(())
-    }
-
-    /// How many others the allocator would give before this block. Only an encoder needs to know.
-    fn rank(&mut self, block: Block, skipped: usize, in_vain: &mut u32) -> Option<u32> {
-        let atlas = self.atlas.as_mut().filter(|_| *in_vain < MOST_IN_VAIN)?;
-        let most = (MOST_SKIPPED as usize).min(MOST_SKIPPED_IN_ALL.saturating_sub(skipped));
-        let mut before: Vec<Block> = Vec::new();
-        let rank = loop {
-            match atlas.allocate(block.size) {
-                Some(found) => before.push(found),
-                None => break None,
-            }
-            if before.last() == Some(&block) {
-                break Some(before.len() as u32 - 1);
-            }
-            if before.len() > most {
-                break None;
-            }
-        };
-        before.into_iter().for_each(|block| atlas.free(block));
-        *in_vain = if rank.is_some() { 0 } else { *in_vain + 1 };
-        rank
     }
 
     /// Blocks lie at multiples of their sides, mostly.
