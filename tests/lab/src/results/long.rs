@@ -52,7 +52,7 @@ const MOTION_SECONDS: f64 = 6.0;
 const NINE_SECONDS: f64 = 10.0;
 const NINE_LINK: &str = "latency=20ms,jitter=5ms,rate=400mbit";
 /// Seconds on the link that changes, a quarter at each rate, and on each of the others.
-const STEPS_SECONDS: f64 = 16.0;
+const STEPS_SECONDS: f64 = 60.0;
 const LINK_SECONDS: f64 = 8.0;
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
