@@ -4,7 +4,7 @@
 use super::Part;
 use super::entering::{Entered, Entering, Scene};
 use super::known::Known;
-use super::placing::{Placed, Placing};
+use super::placing::Placing;
 use super::slots::{Gaps, Slots};
 use crate::atlas::AtlasExtent;
 use crate::geometry::GeometryDelta;
@@ -43,15 +43,15 @@ impl GeometryCoding {
         self
     }
 
-    /// Evictions, what enters, and placements, of a delta that follows those before. `memory` is as before it. An encoder is told
-    /// the delta, a decoder an empty one.
+    /// Evictions, what enters, and placements, of a delta that follows those before, into `geometry`, which says nothing yet. `memory` is
+    /// as before it. An encoder is told the delta, a decoder an empty one.
     pub(super) fn code<C: Coder>(
         &mut self,
         coder: &mut C,
         memory: &ClientMemory,
         told: &GeometryDelta,
-    ) -> Result<GeometryDelta, WireError> {
-        let mut geometry = GeometryDelta::default();
+        geometry: &mut GeometryDelta,
+    ) -> Result<(), WireError> {
         let Self { known, entering, placing, patches, vertices, evictions } = self;
         coder.count_for(Part::Evicted as usize);
         let slots = told.evicted_patches.iter().map(|slot| slot.0);
@@ -68,17 +68,17 @@ impl GeometryCoding {
             Ok(())
         })?;
         geometry.evicted_vertices.iter().for_each(|slot| vertices.remove(slot.0));
-        let mut placed: Vec<Placed> = Vec::new();
+        let mut placed = placing.take_list();
         placing.stay(coder, (memory, patches), &told.placements, &mut placed)?;
-        let mut scene = Scene { known, patches, vertices, told, out: Entered::default() };
+        let mut scene = Scene { known, patches, vertices, told, out: Entered::into_lists_of(geometry) };
         entering.code(coder, &mut scene)?;
-        let Entered { patches: new_patches, vertices: new_vertices, .. } = scene.out;
-        let slots = new_patches.iter().map(|patch| patch.slot);
+        (geometry.new_patches, geometry.new_vertices) = (scene.out.patches, scene.out.vertices);
+        let slots = geometry.new_patches.iter().map(|patch| patch.slot);
         placing.enter(coder, known, slots, &told.placements, &mut placed)?;
         placing.addresses(coder, known, &mut placed)?;
-        geometry.placements = placed.iter().map(|placed| (placed.slot, placed.block)).collect();
+        geometry.placements.extend(placed.iter().map(|placed| (placed.slot, placed.block)));
         geometry.placements.sort_unstable_by_key(|(slot, _)| *slot);
-        (geometry.new_patches, geometry.new_vertices) = (new_patches, new_vertices);
-        Ok(geometry)
+        placing.recycle(placed);
+        Ok(())
     }
 }

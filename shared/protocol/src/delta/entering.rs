@@ -85,10 +85,12 @@ pub(super) struct Entering {
     rest_base: Vec<u32>,
     /// Numbers of corners told lately, the latest first.
     recent: Vec<u32>,
+    /// Of one delta, kept for its memory: vertices that no patch brings, by their place in the list to tell.
+    others: Vec<usize>,
 }
 
 /// What a delta says so far of what enters.
-#[derive(Debug, Default)]
+#[derive(Debug)]
 pub(super) struct Entered {
     pub patches: Vec<NewPatch>,
     pub vertices: Vec<NewVertex>,
@@ -152,6 +154,18 @@ impl PlaceModel {
     }
 }
 
+impl Entered {
+    /// Nothing yet, in the memory of these lists.
+    pub(super) fn into_lists_of(geometry: &mut GeometryDelta) -> Self {
+        Self {
+            patches: std::mem::take(&mut geometry.new_patches),
+            vertices: std::mem::take(&mut geometry.new_vertices),
+            patch_cursor: 0,
+            vertex_cursor: 0,
+        }
+    }
+}
+
 impl Scene<'_> {
     /// The vertex to tell that enters this slot, where it has not entered yet.
     fn told_vertex(&self, slot: u32) -> Option<NewVertex> {
@@ -199,6 +213,7 @@ impl Entering {
             last_patch: vec![u32::MAX; MAX_INSTANCES as usize],
             rest_base: vec![0; MAX_INSTANCES as usize],
             recent: Vec::with_capacity(RECENT + 1),
+            others: Vec::new(),
         }
     }
 
@@ -216,20 +231,21 @@ impl Entering {
             check_intact(coder)?;
         }
         coder.count_for(Part::Vertices as usize);
-        let others: Vec<_> =
-            told.new_vertices.iter().filter(|v| !scene.vertices.contains(v.slot.0)).collect();
-        let count = self.vertex.others.code(coder, others.len() as u32);
+        let is_other = |index: &usize| !scene.vertices.contains(told.new_vertices[*index].slot.0);
+        self.others.clear();
+        self.others.extend((0..told.new_vertices.len()).filter(is_other));
+        let count = self.vertex.others.code(coder, self.others.len() as u32);
         check_room("new vertices", count, scene.vertices)?;
         let mut before = VertexKey::default();
         for index in 0..count as usize {
-            let told = others.get(index).map(|told| key_of(told)).unwrap_or_default();
+            let other = self.others.get(index).map(|index| told.new_vertices[*index]);
+            let told = other.map(|other| key_of(&other)).unwrap_or_default();
             let instance = instance(self.vertex.instance.code(coder, told.instance.0.into()))?;
             let step = told.number.wrapping_sub(before.number).wrapping_sub(1) as i32;
             let step = self.vertex.number.code_signed(coder, step);
             let number = before.number.wrapping_add(1).wrapping_add(step as u32);
             before = VertexKey { instance, number };
-            let slot = others.get(index).map_or(0, |told| told.slot.0);
-            self.vertex(coder, scene, before, slot)?;
+            self.vertex(coder, scene, before, other.map_or(0, |other| other.slot.0))?;
             check_intact(coder)?;
         }
         scene.out.vertices.sort_unstable_by_key(|vertex| vertex.slot);

@@ -133,12 +133,13 @@ impl Herd {
     fn tell(&mut self, delta: &GeometryDelta) -> PartBytes {
         let (mut sections, mut bits): ([Vec<u8>; SECTIONS], _) = (Default::default(), [0; Part::ALL.len()]);
         let mut coder = RangeEncoder::new(&mut sections[4], &mut bits);
-        let told = self.encoder.coding.code(&mut coder, &self.encoder.memory, delta);
-        assert!(has_same_lists(&told.expect("lawful"), delta));
+        let mut told = GeometryDelta::default();
+        self.encoder.coding.code(&mut coder, &self.encoder.memory, delta, &mut told).expect("lawful");
+        assert!(has_same_lists(&told, delta));
         coder.finish();
         let mut coder = RangeDecoder::new(&sections[4]);
-        let silent = GeometryDelta::default();
-        let decoded = self.decoder.coding.code(&mut coder, &self.decoder.memory, &silent).expect("valid");
+        let (silent, mut decoded) = (GeometryDelta::default(), GeometryDelta::default());
+        self.decoder.coding.code(&mut coder, &self.decoder.memory, &silent, &mut decoded).expect("valid");
         assert!(has_same_lists(&decoded, delta));
         coder.finish("a test").expect("all of it");
         self.encoder.apply(delta);

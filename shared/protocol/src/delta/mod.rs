@@ -137,6 +137,7 @@ pub struct DeltaEncoder {
     encoder: SampleEncoder,
     coding: GeometryCoding,
     /// Of the delta in the making, kept for their memory.
+    coded: GeometryDelta,
     sections: [Vec<u8>; SECTIONS],
 }
 
@@ -159,6 +160,7 @@ impl DeltaEncoder {
             history: SampleHistory::new(vertex_slots),
             encoder: SampleEncoder::new(),
             coding: GeometryCoding::new(vertex_slots, patch_slots),
+            coded: GeometryDelta::default(),
             sections: Default::default(),
         }
     }
@@ -260,9 +262,10 @@ impl DeltaEncoder {
         let mut bits = [0; Part::ALL.len()];
         if is_coded(geometry) {
             let mut coder = RangeEncoder::new(out, &mut bits);
-            let coded = self.coding.code(&mut coder, &self.memory, geometry);
+            self.coded.clear();
+            let coded = self.coding.code(&mut coder, &self.memory, geometry, &mut self.coded);
             coder.finish();
-            let is_whole = coded.is_ok_and(|coded| has_same_lists(&coded, geometry));
+            let is_whole = coded.is_ok() && has_same_lists(&self.coded, geometry);
             assert!(
                 is_whole,
                 "delta {}: its lists are not in order, or contradict the memory",
@@ -371,7 +374,8 @@ impl DeltaDecoder {
             return Ok(GeometryDelta::default());
         }
         let mut coder = RangeDecoder::new(section);
-        let geometry = self.coding.code(&mut coder, &self.memory, &GeometryDelta::default())?;
+        let (nothing, mut geometry) = (GeometryDelta::default(), GeometryDelta::default());
+        self.coding.code(&mut coder, &self.memory, &nothing, &mut geometry)?;
         coder.finish("coded geometry")?;
         Ok(geometry)
     }

@@ -14,11 +14,13 @@ use crate::memory::ClientMemory;
 use crate::range::{Chance, Coder, Number, Symbol};
 use crate::wire::{WireError, invalid};
 use std::cmp::Reverse;
-use std::collections::BTreeMap;
 
 /// Of nine steps of a size, none is meant.
 const ANOTHER_SIZE: u32 = 9;
 const WORD_BITS: u32 = 31;
+/// Sizes of blocks, by the exponents of both sides.
+const SIZES: usize = 1 << (2 * SIDE_BITS);
+const SIDE_BITS: u32 = 4;
 
 /// What is coded of a patch's block.
 #[derive(Clone, Copy, Debug)]
@@ -61,7 +63,11 @@ pub(super) struct Placing {
     is_ranked: Chance,
     rank: Number,
     /// By size, how many free places came before the last that was not foreseen.
-    ranks: BTreeMap<BlockSize, u32>,
+    ranks: Vec<u32>,
+    /// Lists of one delta, kept for their memory: what is placed, what of that has an address to come, and what is told.
+    placed_list: Vec<Placed>,
+    open: Vec<usize>,
+    told: Vec<(PatchSlot, Option<Block>)>,
     is_aligned: Chance,
 }
 
@@ -87,9 +93,24 @@ impl Placing {
             is_foreseen: Default::default(),
             is_ranked: Chance::default(),
             rank: Number::default(),
-            ranks: BTreeMap::new(),
+            ranks: vec![0; SIZES],
+            placed_list: Vec::new(),
+            open: Vec::new(),
+            told: Vec::new(),
             is_aligned: Chance::default(),
         }
+    }
+
+    /// An empty list for a delta.
+    pub(super) fn take_list(&mut self) -> Vec<Placed> {
+        let mut list = std::mem::take(&mut self.placed_list);
+        list.clear();
+        list
+    }
+
+    /// Takes a list back, for its memory.
+    pub(super) fn recycle(&mut self, list: Vec<Placed>) {
+        self.placed_list = list;
     }
 
     /// A patch loses its block, or gets another.
@@ -113,13 +134,14 @@ impl Placing {
         told: &[(PatchSlot, Option<Block>)],
         out: &mut Vec<Placed>,
     ) -> Result<(), WireError> {
-        let Self { placed, gaps, size_models, sizes, .. } = self;
+        let Self { placed, gaps, size_models, sizes, told: list, .. } = self;
         for (class, (gaps, model)) in gaps.iter_mut().zip(size_models).enumerate() {
             let is_one = |(slot, _): &&(PatchSlot, Option<Block>)| {
                 taken.contains(slot.0) && placed.contains(slot.0) == (class == 0)
             };
-            let told: Vec<_> = told.iter().filter(is_one).collect();
-            let mut blocks = told.iter().map(|(_, block)| *block);
+            list.clear();
+            list.extend(told.iter().filter(is_one));
+            let mut blocks = list.iter().map(|(_, block)| *block);
             let each = |coder: &mut C, slot: u32| {
                 let told = blocks.next().flatten();
                 coder.count_for(Part::Blocks as usize);
@@ -129,7 +151,7 @@ impl Placing {
                 Ok(())
             };
             coder.count_for(Part::PlacedSlots as usize);
-            let slots = told.iter().map(|(slot, _)| slot.0).collect::<Vec<_>>().into_iter();
+            let slots = list.iter().map(|(slot, _)| slot.0);
             match class {
                 0 => gaps.code(coder, (placed.these(), taken.count()), slots, each)?,
                 _ => gaps.code(coder, (taken.without(placed), taken.count()), slots, each)?,
@@ -204,7 +226,9 @@ impl Placing {
         placed: &mut [Placed],
     ) -> Result<(), WireError> {
         coder.count_for(Part::Blocks as usize);
-        let mut open: Vec<usize> = (0..placed.len()).filter(|index| placed[*index].is_open).collect();
+        let mut open = std::mem::take(&mut self.open);
+        open.clear();
+        open.extend((0..placed.len()).filter(|index| placed[*index].is_open));
         open.sort_unstable_by_key(|index| {
             let Placed { slot, block, .. } = placed[*index];
             (block.map(|block| order(block.size, known.place(slot))), slot)
@@ -215,9 +239,10 @@ impl Placing {
             history = history << 1 & 3 | usize::from(is_foreseen);
             !is_foreseen
         });
-        for index in open {
-            self.search(coder, &mut placed[index])?;
+        for index in &open {
+            self.search(coder, &mut placed[*index])?;
         }
+        self.open = open;
         for Placed { slot, block, .. } in &*placed {
             let Some(block) = block else { continue };
             self.placed.insert(slot.0);
@@ -250,7 +275,7 @@ impl Placing {
         let atlas = self.atlas.as_ref().filter(|atlas| C::TELLS && atlas.can_have(block));
         let rank = atlas.and_then(|atlas| atlas.rank(block));
         if coder.bit(&mut self.is_ranked, rank.is_some()) {
-            let before = self.ranks.entry(block.size).or_default();
+            let before = &mut self.ranks[size_index(block.size)];
             let further = self.rank.code_signed(coder, rank.unwrap_or(0).wrapping_sub(*before) as i32);
             *before = before.wrapping_add(further as u32);
             placed.block = self.atlas.as_mut().and_then(|atlas| atlas.take_nth(block.size, *before));
@@ -283,6 +308,11 @@ impl Placing {
         });
         BlockAddress { page: 0, x: x as u16, y: y as u16 }
     }
+}
+
+fn size_index(size: BlockSize) -> usize {
+    const { assert!(BLOCK_MAX_LOG2 < 1 << SIDE_BITS) };
+    usize::from(size.width_log2) << SIDE_BITS | usize::from(size.height_log2)
 }
 
 fn is_stored(block: Option<Block>) -> bool {

@@ -533,7 +533,9 @@ fn positions_that_are_no_numbers_are_refused() {
         let mut coder = RangeEncoder::new(&mut sections[CODED], &mut bits);
         let memory = ClientMemory::new(VERTEX_SLOTS, PATCH_SLOTS);
         // A server refuses to say so, after it has.
-        assert!(GeometryCoding::new(VERTEX_SLOTS, PATCH_SLOTS).code(&mut coder, &memory, &delta).is_err());
+        let (mut coding, mut out) =
+            (GeometryCoding::new(VERTEX_SLOTS, PATCH_SLOTS), GeometryDelta::default());
+        assert!(coding.code(&mut coder, &memory, &delta, &mut out).is_err());
         coder.finish();
         let bytes = put_header_and([0, 1], &GeometryDelta::default(), &sections);
         assert_refused(&bytes, "a vertex's position is not valid");
