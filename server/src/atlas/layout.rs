@@ -392,8 +392,8 @@ impl Layout {
         let mut waiting = std::mem::take(&mut self.scratch.waiting);
         waiting.clear();
         waiting.extend(all.filter(|(patch, size)| size_now(*patch) != Some(*size)));
-        // Large ones first: they are the hardest to place. Ties go in patch order, neighbours side by side.
-        waiting.sort_unstable_by_key(|(patch, size)| (std::cmp::Reverse(size.texels()), *size, *patch));
+        // Ties go in patch order, neighbours side by side.
+        waiting.sort_unstable_by_key(|(patch, size)| (size.allocation_order(), *patch));
         let mut fits = self.try_allocate(&waiting);
         if !fits && !self.around.is_empty() {
             self.release_around();

@@ -59,6 +59,11 @@ impl Coder {
         Self { encoder, sampled: SampledVertices::default(), last: UpdateId(0) }
     }
 
+    /// The same with another encoder of an empty memory.
+    pub(crate) fn with(self, change: impl FnOnce(DeltaEncoder) -> DeltaEncoder) -> Self {
+        Self { encoder: change(self.encoder), ..self }
+    }
+
     /// The client's memory, and what it takes to code for it.
     pub fn encoder(&self) -> &DeltaEncoder {
         &self.encoder

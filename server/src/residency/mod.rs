@@ -18,7 +18,6 @@ use crate::residency::retained::Retained;
 use crate::residency::slots::Slots;
 use crate::scene::geometry::{Geometry, vertices_of_patch};
 use crate::scene::numbering::{ScenePatch, SceneVertex};
-
 use crate::support::lock::lock;
 use crate::support::merged::merged;
 use crate::support::pool::Pool;
@@ -30,7 +29,7 @@ use shadecast_protocol::ids::{InstanceId, PatchSlot, UpdateId, VertexSlot};
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::motion::predicted::PREDICTED_BYTES;
 use std::collections::HashSet;
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, Mutex, PoisonError};
 
 /// A patch without a block, of vertices that cost nothing while they stay, is forgotten after this many updates.
 const RETAIN_UPDATES: u32 = 300;
@@ -137,27 +136,29 @@ impl Residency {
 
     /// With blocks in an atlas of this extent.
     #[must_use]
-    pub(crate) fn with_atlas(mut self, extent: AtlasExtent) -> Self {
-        let encoder = lock(&self.coder).encoder().clone().with_atlas(extent);
-        self.coder = Arc::new(Mutex::new(Coder::new(encoder)));
-        self
+    pub(crate) fn with_atlas(self, extent: AtlasExtent) -> Self {
+        self.coding_with(|encoder| encoder.with_atlas(extent))
     }
 
     /// With so many pages of the store.
     #[must_use]
-    pub(crate) fn with_store(mut self, pages: u32) -> Self {
-        let encoder = lock(&self.coder).encoder().clone().with_store(pages);
-        self.coder = Arc::new(Mutex::new(Coder::new(encoder)));
-        self
+    pub(crate) fn with_store(self, pages: u32) -> Self {
+        self.coding_with(|encoder| encoder.with_store(pages))
     }
 
     /// With what the client skins by itself.
     #[must_use]
-    pub(crate) fn with_skinning(mut self, skinning: Skinning, memory: MotionMemory) -> Self {
-        let encoder = lock(&self.coder).encoder().clone().with_motion(memory);
-        self.coder = Arc::new(Mutex::new(Coder::new(encoder)));
-        lock(skinning.sender()).code_with(&self.coder);
-        self.skinning = Some(skinning);
+    pub(crate) fn with_skinning(self, skinning: Skinning, memory: MotionMemory) -> Self {
+        let residency = self.coding_with(|encoder| encoder.with_motion(memory));
+        lock(skinning.sender()).code_with(&residency.coder);
+        Self { skinning: Some(skinning), ..residency }
+    }
+
+    /// With this change to the encoder, while nobody else has it.
+    fn coding_with(mut self, change: impl FnOnce(DeltaEncoder) -> DeltaEncoder) -> Self {
+        let coder = Arc::into_inner(self.coder).expect("it is shared once there is motion");
+        let coder = coder.into_inner().unwrap_or_else(PoisonError::into_inner);
+        self.coder = Arc::new(Mutex::new(coder.with(change)));
         self
     }
 
@@ -577,18 +578,16 @@ impl Residency {
         self.vertex_of_slot[slot.index()] = vertex;
         let predicts = self.predicts();
         let skinning = self.skinning.as_mut().filter(|skinning| skinning.is_skinned(instance));
+        let number = vertex.0 - geometry.first_vertex(instance).0;
         let motion = match (geometry.static_position(vertex), skinning) {
             (Some(position), _) => Motion::Static { position: on_static_grid(position) },
-            (None, Some(skinning)) => {
-                skinning.enter(instance, vertex.0 - geometry.first_vertex(instance).0, delta)
-            }
+            (None, Some(skinning)) => skinning.enter(instance, number, delta),
             (None, None) if predicts => Motion::Predicted,
             (None, None) => Motion::Sampled,
         };
         if !matches!(motion, Motion::Static { .. }) {
             self.moving.insert(slot.index());
         }
-        let number = vertex.0 - geometry.first_vertex(instance).0;
         delta.new_vertices.push(NewVertex { slot, instance: InstanceId(instance), number, motion });
         slot
     }

@@ -88,7 +88,7 @@ struct Lists {
     drawn: [Vec<LodInstance>; 2],
     /// LODs that are shown at once, for want of room.
     coarser: Vec<LodInstance>,
-    /// LODs with the rings of patches that are added to them.
+    /// LODs of the next pass with the rings of patches that are added to them.
     rings: Vec<(LodInstance, u32)>,
 }
 
@@ -352,7 +352,7 @@ impl VisibilityStep {
         let mut drawn = std::mem::take(&mut self.lists.drawn);
         lods.scenes(&mut drawn, |instance| self.culling.needed().has(instance));
         self.lists.rings.clear();
-        if span_ns(world, &views.times) > RARE_NS {
+        if are_rare(world, &views.times) {
             self.lists.rings.extend(rings(world, &lods, &views.times));
         }
         let inputs = PassInputs {
@@ -379,7 +379,7 @@ impl VisibilityStep {
         (sampled, times): (&Sampled, &[ViewTime; VIEW_TIMES]),
     ) -> Result<Ticket, GpuError> {
         self.lists.rings.clear();
-        if span_ns(world, times) > RARE_NS {
+        if are_rare(world, times) {
             self.lists.rings.extend(lods.shown().map(|lod| (*lod, 1)));
         }
         self.views.write_glance(glance);
@@ -486,6 +486,11 @@ fn rings<'a>(
     let of_motion = (span_ns(world, times) / RING_NS).min(MOST_RINGS) as u32;
     let rings_of = move |instance| if world.instance_stands(instance, times) { 1 } else { of_motion };
     lods.all().iter().map(move |lod| (*lod, rings_of(lod.instance)))
+}
+
+/// Whether updates with such times are so far apart that rings are added.
+fn are_rare(world: &World, times: &[ViewTime; VIEW_TIMES]) -> bool {
+    span_ns(world, times) > RARE_NS
 }
 
 /// From the first of an update's predicted times to the last.

@@ -82,7 +82,7 @@ impl Scene {
                 size.filter(|_| old.is_none() || !random.is_multiple_of(5)).map(|size| (size, patch)),
             );
         }
-        sizes.sort_unstable_by_key(|(size, patch)| (std::cmp::Reverse(size.texels()), *size, *patch));
+        sizes.sort_unstable_by_key(|(size, patch)| (size.allocation_order(), *patch));
         for (size, patch) in sizes {
             self.blocks[patch as usize] = self.atlas.allocate(size);
         }

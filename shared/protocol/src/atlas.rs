@@ -12,6 +12,7 @@ use crate::limits::{
     BLOCK_MIN_LOG2, MAX_STORE_PAGES, STORE_PAGE_SIDE,
 };
 use serde::{Deserialize, Serialize};
+use std::cmp::Reverse;
 use std::fmt;
 use std::str::FromStr;
 use thiserror::Error;
@@ -215,6 +216,11 @@ impl BlockSize {
     /// Texels in the block.
     pub fn texels(self) -> u32 {
         self.width() * self.height()
+    }
+
+    /// The order in which blocks are allocated: large ones first, since they are the hardest to place. A client foresees addresses by it.
+    pub fn allocation_order(self) -> impl Ord + Copy {
+        (Reverse(self.texels()), self)
     }
 }
 

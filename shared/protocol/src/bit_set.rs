@@ -29,6 +29,11 @@ impl BitSet {
         self.count
     }
 
+    /// The bits of 64 numbers, the first of which is 64 times as large as `at`.
+    pub(crate) fn word(&self, at: usize) -> u64 {
+        self.words[at]
+    }
+
     /// Whether a number is in it.
     pub fn contains(&self, number: usize) -> bool {
         self.words[number / 64] >> (number % 64) & 1 != 0

@@ -263,11 +263,16 @@ impl<const SIZE: usize> Default for Symbol<SIZE> {
 
 impl<const SIZE: usize> Symbol<SIZE> {
     pub(crate) fn code(&mut self, coder: &mut impl Coder, symbol: u32) -> u32 {
+        self.node(coder, SIZE.ilog2(), symbol) - SIZE as u32
+    }
+
+    /// A symbol of so many bits, with a one before them.
+    fn node(&mut self, coder: &mut impl Coder, bits: u32, symbol: u32) -> u32 {
         let mut node = 1;
-        for shift in (0..SIZE.ilog2()).rev() {
+        for shift in (0..bits).rev() {
             node = node << 1 | usize::from(coder.bit(&mut self.0[node], symbol >> shift & 1 == 1));
         }
-        node as u32 - SIZE as u32
+        node as u32
     }
 }
 
@@ -296,15 +301,11 @@ impl Number {
         let low_bits = bits - top_bits;
         // Of a decoder the value is none of these; it is ignored.
         let top = (mantissa >> low_bits) & ((1 << top_bits) - 1);
-        let mut node = 1;
-        for shift in (0..top_bits).rev() {
-            let chance = &mut self.top[bits as usize].0[node];
-            node = node << 1 | usize::from(coder.bit(chance, top >> shift & 1 == 1));
-        }
+        let node = self.top[bits as usize].node(coder, top_bits, top);
         let low = if low_bits == 0 { 0 } else { mantissa & ((1 << low_bits) - 1) };
         let low = coder.raw(low_bits, low);
         // `node` has the leading one.
-        let next = (node as u64) << low_bits | u64::from(low);
+        let next = u64::from(node) << low_bits | u64::from(low);
         u32::try_from(next - 1).unwrap_or(u32::MAX)
     }
 

@@ -54,7 +54,7 @@ impl Layout {
             }
             state.block.is_none()
         });
-        waiting.sort_unstable_by_key(|(patch, size)| (std::cmp::Reverse(size.texels()), *size, *patch));
+        waiting.sort_unstable_by_key(|(patch, size)| (size.allocation_order(), *patch));
         for (patch, size) in waiting {
             self.states[patch.index()].block = self.atlas.allocate(*size);
         }

@@ -13,6 +13,8 @@ const SUPERBLOCK_SIDES: usize = (BLOCK_MAX_LOG2 - SUPERBLOCK_MIN_LOG2 + 1) as us
 const SIDES: usize = (BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 + 1) as usize;
 /// Blocks of the smallest size in the smallest superblock: 16 x 16.
 const MAX_PLACES_WORDS: usize = 4;
+/// Sizes that a block may have.
+pub(crate) const SIZES: usize = SIDES * SIDES;
 
 /// Which blocks of an atlas are free.
 #[derive(Clone, Debug)]
@@ -23,7 +25,7 @@ pub struct Atlas {
     /// Superblocks in use, by the cell of their corner.
     used: Vec<Option<Superblock>>,
     /// Cells of superblocks that have a block free, by the size of their blocks.
-    open: [BitSet; SIDES * SIDES],
+    open: [BitSet; SIZES],
     used_texels: u64,
     /// By cell of the smallest superblock's side, in rows.
     cell_extents: Vec<u32>,
@@ -349,8 +351,8 @@ fn packed_extent(size: BlockSize) -> u32 {
     size.width() | size.height() << 16
 }
 
-/// Of all sizes.
-fn index_of(size: BlockSize) -> usize {
+/// The place of a size among all [`SIZES`].
+pub(crate) fn index_of(size: BlockSize) -> usize {
     let side = |log2: u8| usize::from(log2) - BLOCK_MIN_LOG2 as usize;
     side(size.width_log2) * SIDES + side(size.height_log2)
 }

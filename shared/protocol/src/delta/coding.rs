@@ -4,7 +4,7 @@
 use super::Part;
 use super::entering::{Entered, Entering, Scene};
 use super::known::Known;
-use super::placing::Placing;
+use super::placing::{Placed, Placing};
 use super::slots::{Gaps, Slots};
 use crate::atlas::AtlasExtent;
 use crate::geometry::GeometryDelta;
@@ -23,6 +23,8 @@ pub(super) struct GeometryCoding {
     patches: Slots,
     vertices: Slots,
     evictions: [Gaps; 2],
+    /// Of one delta, kept for its memory.
+    placed: Vec<Placed>,
 }
 
 impl GeometryCoding {
@@ -30,16 +32,17 @@ impl GeometryCoding {
         Self {
             known: Known::new(vertex_slots, patch_slots),
             entering: Entering::new(),
-            placing: Placing::new(patch_slots, None),
+            placing: Placing::new(patch_slots),
             patches: Slots::none(patch_slots),
             vertices: Slots::none(vertex_slots),
             evictions: Default::default(),
+            placed: Vec::new(),
         }
     }
 
     /// With blocks in an atlas of this extent.
     pub(super) fn with_atlas(mut self, extent: AtlasExtent) -> Self {
-        self.placing = Placing::new(self.patches.count(), Some(extent));
+        self.placing = self.placing.with_atlas(extent);
         self
     }
 
@@ -52,7 +55,7 @@ impl GeometryCoding {
         told: &GeometryDelta,
         geometry: &mut GeometryDelta,
     ) -> Result<(), WireError> {
-        let Self { known, entering, placing, patches, vertices, evictions } = self;
+        let Self { known, entering, placing, patches, vertices, evictions, placed } = self;
         coder.count_for(Part::Evicted as usize);
         let slots = told.evicted_patches.iter().map(|slot| slot.0);
         evictions[0].code(coder, (patches.these(), patches.count()), slots, |_, slot| {
@@ -68,17 +71,16 @@ impl GeometryCoding {
             Ok(())
         })?;
         geometry.evicted_vertices.iter().for_each(|slot| vertices.remove(slot.0));
-        let mut placed = placing.take_list();
-        placing.stay(coder, (memory, patches), &told.placements, &mut placed)?;
+        placed.clear();
+        placing.stay(coder, (memory, patches), &told.placements, placed)?;
         let mut scene = Scene { known, patches, vertices, told, out: Entered::into_lists_of(geometry) };
         entering.code(coder, &mut scene)?;
         (geometry.new_patches, geometry.new_vertices) = (scene.out.patches, scene.out.vertices);
         let slots = geometry.new_patches.iter().map(|patch| patch.slot);
-        placing.enter(coder, known, slots, &told.placements, &mut placed)?;
-        placing.addresses(coder, known, &mut placed)?;
+        placing.enter(coder, known, slots, &told.placements, placed)?;
+        placing.addresses(coder, known, placed)?;
         geometry.placements.extend(placed.iter().map(|placed| (placed.slot, placed.block)));
         geometry.placements.sort_unstable_by_key(|(slot, _)| *slot);
-        placing.recycle(placed);
         Ok(())
     }
 }

@@ -40,9 +40,9 @@ struct PatchModel {
     mesh: Number,
     number: [Number; 4],
     class: usize,
-    is_known: [Chance; 2],
+    is_known: Chance,
     kind: Symbol<4>,
-    is_double_sided: [Chance; 2],
+    is_double_sided: Chance,
 }
 
 #[derive(Clone, Debug, Default)]
@@ -276,7 +276,7 @@ impl Entering {
                     && known.double_sided == told.double_sided
                     && corners.all(|(corner, slot)| scene.is_meant(key(*corner), slot.0))
             };
-            coder.bit(&mut self.patch.is_known[0], told.is_some_and(is_so))
+            coder.bit(&mut self.patch.is_known, told.is_some_and(is_so))
         });
         let mut vertices = [VertexSlot(0); CORNERS];
         let (kind, double_sided) = match known.filter(|_| is_known) {
@@ -341,8 +341,8 @@ impl Entering {
         let kind = self.patch.kind.code(coder, told.map_or(0, |told| told.kind as u32));
         let kind = PatchKind::from_triangle_count(kind as u8)
             .ok_or_else(|| invalid("a patch's kind", format!("{kind:#x} is none")))?;
-        let [chance, _] = &mut self.patch.is_double_sided;
-        let double_sided = coder.bit(chance, told.is_some_and(|told| told.double_sided));
+        let double_sided =
+            coder.bit(&mut self.patch.is_double_sided, told.is_some_and(|told| told.double_sided));
         let mut corners = Some([0; CORNERS]);
         for index in 0..kind.vertex_count() {
             coder.count_for(Part::Corners as usize);

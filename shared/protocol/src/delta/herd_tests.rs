@@ -106,7 +106,7 @@ impl Herd {
             block.take().into_iter().for_each(|block| self.atlas.free(block));
         }
         let mut order: Vec<_> = sizes.iter().filter_map(|(key, size)| Some(((*size)?, *key))).collect();
-        order.sort_by_key(|(size, key)| (std::cmp::Reverse(size.texels()), *size, *key));
+        order.sort_by_key(|(size, key)| (size.allocation_order(), *key));
         for (size, key) in order {
             self.patches.get_mut(&key).expect("it is there").1 = self.atlas.allocate(size);
         }

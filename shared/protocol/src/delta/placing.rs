@@ -1,26 +1,22 @@
 //! Blocks of patches: sizes against those of before, addresses against those that the allocator would give.
 //!
 //! The server frees what leaves or changes, then allocates the blocks in view and those of the surround, each in the order of
-//! [`order`]. So most addresses are foreseen in one bit. The others are told among the free places for their size.
+//! [`BlockSize::allocation_order`], then of the scene. So most addresses are foreseen in one bit. The others are told among the free places for their size.
 
 use super::Part;
 use super::known::Known;
 use super::slots::{Gaps, Slots};
-use crate::atlas::allocator::Atlas;
+use crate::atlas::allocator::{Atlas, SIZES, index_of};
 use crate::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
-use crate::ids::{InstanceId, PatchSlot};
+use crate::ids::PatchSlot;
 use crate::limits::{ATLAS_MAX_EXTENT, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
 use crate::memory::ClientMemory;
 use crate::range::{Chance, Coder, Number, Symbol};
 use crate::wire::{WireError, invalid};
-use std::cmp::Reverse;
 
 /// Of nine steps of a size, none is meant.
 const ANOTHER_SIZE: u32 = 9;
 const WORD_BITS: u32 = 31;
-/// Sizes of blocks, by the exponents of both sides.
-const SIZES: usize = 1 << (2 * SIDE_BITS);
-const SIDE_BITS: u32 = 4;
 
 /// What is coded of a patch's block.
 #[derive(Clone, Copy, Debug)]
@@ -64,23 +60,17 @@ pub(super) struct Placing {
     rank: Number,
     /// By size, how many free places came before the last that was not foreseen.
     ranks: Vec<u32>,
-    /// Lists of one delta, kept for their memory: what is placed, what of that has an address to come, and what is told.
-    placed_list: Vec<Placed>,
+    /// Lists of one delta, kept for their memory: what has an address to come, and what is told.
     open: Vec<usize>,
     told: Vec<(PatchSlot, Option<Block>)>,
     is_aligned: Chance,
 }
 
-/// Large blocks first: they are the hardest to place. Ties go by size, and in the order of the scene.
-fn order(size: BlockSize, (instance, number): (InstanceId, u32)) -> impl Ord + Copy {
-    (Reverse(size.texels()), size, instance, number)
-}
-
 impl Placing {
-    pub(super) fn new(patch_slots: u32, extent: Option<AtlasExtent>) -> Self {
+    pub(super) fn new(patch_slots: u32) -> Self {
         let smallest = BlockSize { width_log2: BLOCK_MIN_LOG2 as u8, height_log2: BLOCK_MIN_LOG2 as u8 };
         Self {
-            atlas: extent.map(Atlas::new),
+            atlas: None,
             held: Slots::none(patch_slots),
             placed: Slots::none(patch_slots),
             sizes: vec![smallest; patch_slots as usize],
@@ -94,23 +84,16 @@ impl Placing {
             is_ranked: Chance::default(),
             rank: Number::default(),
             ranks: vec![0; SIZES],
-            placed_list: Vec::new(),
             open: Vec::new(),
             told: Vec::new(),
             is_aligned: Chance::default(),
         }
     }
 
-    /// An empty list for a delta.
-    pub(super) fn take_list(&mut self) -> Vec<Placed> {
-        let mut list = std::mem::take(&mut self.placed_list);
-        list.clear();
-        list
-    }
-
-    /// Takes a list back, for its memory.
-    pub(super) fn recycle(&mut self, list: Vec<Placed>) {
-        self.placed_list = list;
+    /// With blocks in an atlas of this extent.
+    pub(super) fn with_atlas(mut self, extent: AtlasExtent) -> Self {
+        self.atlas = Some(Atlas::new(extent));
+        self
     }
 
     /// A patch loses its block, or gets another.
@@ -231,7 +214,7 @@ impl Placing {
         open.extend((0..placed.len()).filter(|index| placed[*index].is_open));
         open.sort_unstable_by_key(|index| {
             let Placed { slot, block, .. } = placed[*index];
-            (block.map(|block| order(block.size, known.place(slot))), slot)
+            (block.map(|block| (block.size.allocation_order(), known.place(slot))), slot)
         });
         let mut history = 0;
         open.retain(|index| {
@@ -275,7 +258,7 @@ impl Placing {
         let atlas = self.atlas.as_ref().filter(|atlas| C::TELLS && atlas.can_have(block));
         let rank = atlas.and_then(|atlas| atlas.rank(block));
         if coder.bit(&mut self.is_ranked, rank.is_some()) {
-            let before = &mut self.ranks[size_index(block.size)];
+            let before = &mut self.ranks[index_of(block.size)];
             let further = self.rank.code_signed(coder, rank.unwrap_or(0).wrapping_sub(*before) as i32);
             *before = before.wrapping_add(further as u32);
             placed.block = self.atlas.as_mut().and_then(|atlas| atlas.take_nth(block.size, *before));
@@ -308,11 +291,6 @@ impl Placing {
         });
         BlockAddress { page: 0, x: x as u16, y: y as u16 }
     }
-}
-
-fn size_index(size: BlockSize) -> usize {
-    const { assert!(BLOCK_MAX_LOG2 < 1 << SIDE_BITS) };
-    usize::from(size.width_log2) << SIDE_BITS | usize::from(size.height_log2)
 }
 
 fn is_stored(block: Option<Block>) -> bool {

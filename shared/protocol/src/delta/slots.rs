@@ -1,12 +1,13 @@
 //! Slots of the client's memory in ascending order: told as ranks among those that can be meant.
 
+use crate::bit_set::BitSet;
 use crate::range::{Coder, Number};
 use crate::wire::{WireError, invalid};
 
 /// A set of slots, of which ranks are asked for.
 #[derive(Clone, Debug)]
 pub(super) struct Slots {
-    words: Vec<u64>,
+    set: BitSet,
     count: u32,
 }
 
@@ -23,7 +24,7 @@ pub(super) struct Gaps {
 impl Slots {
     /// None of so many.
     pub(super) fn none(count: u32) -> Self {
-        Self { words: vec![0; count.div_ceil(64) as usize], count }
+        Self { set: BitSet::none(count as usize), count }
     }
 
     /// How many slots there are.
@@ -32,35 +33,35 @@ impl Slots {
     }
 
     pub(super) fn contains(&self, slot: u32) -> bool {
-        self.words.get(slot as usize / 64).is_some_and(|word| word >> (slot % 64) & 1 == 1)
+        slot < self.count && self.set.contains(slot as usize)
     }
 
     /// Slots that do not exist are left out.
     pub(super) fn insert(&mut self, slot: u32) {
         if slot < self.count {
-            self.words[slot as usize / 64] |= 1 << (slot % 64);
+            self.set.insert(slot as usize);
         }
     }
 
     pub(super) fn remove(&mut self, slot: u32) {
-        if let Some(word) = self.words.get_mut(slot as usize / 64) {
-            *word &= !(1 << (slot % 64));
+        if slot < self.count {
+            self.set.remove(slot as usize);
         }
     }
 
     /// The same number of slots: those in it that are not in the other.
     pub(super) fn without<'a>(&'a self, other: &'a Self) -> impl Fn(usize) -> u64 + Copy + 'a {
-        move |word| self.words[word] & !other.words[word]
+        move |word| self.set.word(word) & !other.set.word(word)
     }
 
     /// Those in it.
     pub(super) fn these(&self) -> impl Fn(usize) -> u64 + Copy + '_ {
-        move |word| self.words[word]
+        move |word| self.set.word(word)
     }
 
     /// Those not in it, and some beyond the last.
     pub(super) fn others(&self) -> impl Fn(usize) -> u64 + Copy + '_ {
-        move |word| !self.words[word]
+        move |word| !self.set.word(word)
     }
 }
 
