@@ -23,6 +23,7 @@ use std::time::{Duration, Instant};
 use quinn_proto::RttEstimator;
 use quinn_proto::congestion::{Controller, ControllerFactory, ControllerMetrics};
 
+use crate::cross_traffic::{CrossTraffic, Seen};
 use crate::target::{RoundTrip, Target};
 use crate::train::Trains;
 
@@ -41,7 +42,7 @@ pub const BURST_RATE: f64 = 50e6;
 /// quinn sends a window in this part of a round trip: its pacer divides by it.
 const PACER_GAIN: f64 = 1.25;
 /// The window never falls below this many packets.
-const MIN_WINDOW_PACKETS: u64 = 16;
+pub(crate) const MIN_WINDOW_PACKETS: u64 = 16;
 /// Largest window of the startup phase, in products of measured rate and shortest round trip: 2 would double it.
 const STARTUP_GAIN: f64 = 4.0;
 /// Window in steady state, in products of bandwidth and shortest round trip.
@@ -64,6 +65,8 @@ const QUESTION_PERIOD: Duration = Duration::from_secs(2);
 const MOST_DRAINED_PART: f64 = 0.6;
 /// A round trip that draining did not shorten counts for so long.
 const LOADED_RTT_LIFETIME: Duration = Duration::from_secs(5);
+/// And is no longer than the shortest by more than this.
+const LONGEST_LOADED: Duration = Duration::from_millis(40);
 /// How long a shortest round trip counts before it is measured anew.
 const MIN_RTT_LIFETIME: Duration = Duration::from_secs(10);
 /// A shortest round trip that has become longer by this has a queue in it.
@@ -224,6 +227,7 @@ pub struct Steady {
     batches: VecDeque<SentBatch>,
     /// Sent, and neither acknowledged nor lost. Exact after each acknowledgement.
     in_flight_bytes: u64,
+    sent_bytes: u64,
     /// The window was full at some time in this round trip.
     round_is_window_limited: bool,
     smoothed_rtt: Option<Duration>,
@@ -247,6 +251,7 @@ pub struct Steady {
     sampled_lost: u64,
     trains: Trains,
     target: Target,
+    cross_traffic: CrossTraffic,
     /// A router has marked a packet, or too many were lost, in this round trip.
     round_is_congested: bool,
     /// Delivered when this round trip began, bytes.
@@ -266,6 +271,7 @@ impl Steady {
             backed_off_at: None,
             batches: VecDeque::new(),
             in_flight_bytes: 0,
+            sent_bytes: 0,
             round_is_window_limited: false,
             smoothed_rtt: None,
             delivered_bytes: 0,
@@ -284,6 +290,7 @@ impl Steady {
             sampled_lost: 0,
             trains: Trains::default(),
             target: Target::default(),
+            cross_traffic: CrossTraffic::default(),
             round_is_congested: false,
             round_delivered_bytes: 0,
             told,
@@ -344,7 +351,8 @@ impl Steady {
     }
 
     fn note_rtt(&mut self, now: Instant, rtt: Duration) {
-        let expired = self.min_rtt_at.is_some_and(|at| now.saturating_duration_since(at) > MIN_RTT_LIFETIME);
+        let is_old = self.min_rtt_at.is_some_and(|at| now.saturating_duration_since(at) > MIN_RTT_LIFETIME);
+        let expired = is_old && !self.cross_traffic.is_suspected(now);
         self.round_min_rtt = Some(self.round_min_rtt.map_or(rtt, |min| min.min(rtt)));
         let has_waited = self.min_rtt.is_some_and(|min| rtt > min + STANDING_QUEUE);
         if self.min_rtt.is_none_or(|min| rtt <= min) {
@@ -376,12 +384,21 @@ impl Steady {
         let path_s = drain.path_s(self.limit());
         self.mode = Mode::Steady;
         let Some(path_s) = path_s else { return };
+        if let Some(path) = self.path_rtt().filter(|_| self.cross_traffic.window_bytes().is_some()) {
+            if let Some(path) =
+                self.cross_traffic.end_look(now, Duration::from_secs_f64(path_s), path, drain.before)
+            {
+                (self.min_rtt, self.min_rtt_at) = (Some(path), Some(now));
+            }
+            return;
+        }
         let path = Duration::from_secs_f64(path_s).min(drain.before);
         if path < drain.before / 2 {
             // It was a queue: older rates are those of another path.
             self.forget_old_rates();
         }
-        self.loaded_rtt = self.min_rtt.filter(|min| path > *min).map(|_| (path, now));
+        self.loaded_rtt =
+            self.min_rtt.filter(|min| path > *min).map(|min| (path.min(min + LONGEST_LOADED), now));
     }
 
     fn end_round(&mut self, now: Instant) {
@@ -394,9 +411,11 @@ impl Steady {
             (Some(now), Some(min)) => now > min.mul_f64(1.5) + STARTUP_QUEUE,
             _ => false,
         };
-        if let Some(fastest) =
-            fastest.filter(|fastest| is_window_limited && self.is_questionable(now, *fastest))
-        {
+        let is_drained = |fastest: &Duration| match self.cross_traffic.window_bytes() {
+            Some(_) => self.mode == Mode::Steady && self.cross_traffic.is_look_due(now),
+            None => is_window_limited && self.is_questionable(now, *fastest),
+        };
+        if let Some(fastest) = fastest.filter(is_drained) {
             self.drain(now, fastest);
         }
         if let Mode::Startup { best_rate, rounds_without_growth } = &mut self.mode
@@ -427,8 +446,23 @@ impl Steady {
         if !matches!(self.mode, Mode::Drain(_)) {
             let queue = fastest.saturating_sub(path);
             self.target.note(RoundTrip { end, delivered_bytes, queue, path, is_full, is_congested });
-            self.told.set(self.target.bytes_s());
+            let seen = Seen {
+                queue: self.target.queue(),
+                sent_bytes: self.sent_bytes,
+                in_flight_bytes: self.in_flight_bytes,
+                target_bytes_s: self.target.bytes_s().unwrap_or(0.0),
+                mtu: self.mtu,
+            };
+            self.cross_traffic.note_round(end, seen);
         }
+        self.tell();
+    }
+
+    /// Tells how fast to send: what avoids a queue, or what the window that competes allows.
+    fn tell(&self) {
+        let round_trip_s = self.smoothed_rtt.map_or(f64::MAX, |rtt| rtt.as_secs_f64());
+        let competing = self.cross_traffic.window_bytes().map(|_| self.limit() as f64 / round_trip_s);
+        self.told.set(self.target.bytes_s().into_iter().chain(competing).reduce(f64::max));
     }
 
     /// The window without the bound that congestion sets, bytes.
@@ -445,7 +479,12 @@ impl Steady {
     /// What may be under way, bytes.
     fn limit(&self) -> u64 {
         let model = self.model_window();
-        self.cap.map_or(model, |cap| model.min(cap as u64)).max(self.min_window())
+        let own = self.cap.map_or(model, |cap| model.min(cap as u64)).max(self.min_window());
+        match (self.cross_traffic.window_bytes(), self.mode) {
+            (Some(competing), Mode::Drain(_)) => (competing / 2).max(self.min_window()),
+            (Some(competing), _) => own.max(competing),
+            (None, _) => own,
+        }
     }
 
     /// The window from which quinn's pacer makes the rate of a burst; `None` where the limit's own rate is right.
@@ -518,6 +557,7 @@ impl Controller for Steady {
             self.trains.sent(now, bytes);
         }
         self.in_flight_bytes += bytes;
+        self.sent_bytes += bytes;
         let is_window_limited = self.is_full();
         self.round_is_window_limited |= is_window_limited;
         if let Some(last) = self.batches.back_mut().filter(|last| last.sent == now) {
@@ -547,6 +587,7 @@ impl Controller for Steady {
             self.told.set(self.target.bytes_s());
             self.narrow(bytes_s, rtt.get());
         }
+        self.cross_traffic.on_ack(now, sent, bytes, self.in_flight_bytes, rtt);
         self.in_flight_bytes = self.in_flight_bytes.saturating_sub(bytes);
         self.smoothed_rtt = Some(rtt.get());
         self.delivered_bytes += bytes;
@@ -610,6 +651,7 @@ impl Controller for Steady {
             self.sampled_lost += lost_bytes;
         }
         self.in_flight_bytes = self.in_flight_bytes.saturating_sub(lost_bytes);
+        self.cross_traffic.on_congestion_event(now, sent, is_persistent_congestion, lost_bytes);
         // A mark comes without lost bytes. Packets that left before the last answer say nothing new: one answer a round trip.
         if lost_bytes == 0 && !is_persistent_congestion && !self.is_answered_for(sent) {
             self.back_off(now, self.limit().min(self.in_flight_bytes) as f64 * BACKOFF);

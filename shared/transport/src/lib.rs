@@ -9,6 +9,7 @@
 mod allowance;
 mod arrivals;
 pub mod congestion;
+mod cross_traffic;
 pub mod discovery;
 pub mod endpoint;
 pub mod event;

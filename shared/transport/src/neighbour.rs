@@ -37,6 +37,7 @@ pub struct Neighbour {
     pub(crate) client: Endpoint,
     traffic: Traffic,
     begin_ns: i64,
+    end_ns: i64,
     next_picture_ns: i64,
     is_connecting: bool,
     peer: Option<PeerId>,
@@ -61,12 +62,19 @@ impl Neighbour {
             client: Endpoint::client(config(6)),
             traffic,
             begin_ns,
+            end_ns: i64::MAX,
             next_picture_ns: i64::MAX,
             is_connecting: false,
             peer: None,
             arrived_bytes: 0,
             delivered_bytes: 0,
         })
+    }
+
+    /// Takes nothing more from `end_ns` on.
+    #[must_use]
+    pub fn until(self, end_ns: i64) -> Self {
+        Self { end_ns, ..self }
     }
 
     /// Bytes of streams that have arrived whole.
@@ -108,7 +116,9 @@ impl Neighbour {
                 self.arrived_bytes += bytes.len() as u64;
             }
         }
-        if let Some(peer) = self.peer {
+        if now_ns >= self.end_ns {
+            self.next_picture_ns = i64::MAX;
+        } else if let Some(peer) = self.peer {
             // Without room it goes on when there is some.
             let _ = self.feed(peer, now_ns);
         }

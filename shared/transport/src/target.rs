@@ -64,6 +64,7 @@ pub(crate) struct Target {
     /// What arrived when a queue last stood, bytes per second.
     found_bytes_s: Option<f64>,
     usual: Usual,
+    queue: Duration,
 }
 
 /// How long packets usually wait, and how much that varies, seconds.
@@ -108,6 +109,11 @@ impl Target {
         self.bytes_s
     }
 
+    /// The queue that was measured last.
+    pub(crate) fn queue(&self) -> Duration {
+        self.queue
+    }
+
     /// A train says what the path carries, bytes per second: where the target begins.
     pub(crate) fn begin(&mut self, train_bytes_s: f64) {
         let least = if train_bytes_s >= FAST_TRAIN_BYTES_S { FAST_BYTES_S } else { LEAST_BYTES_S };
@@ -134,6 +140,7 @@ impl Target {
         let most_s = if seen.is_full { OF_ROUND_TRIP * round.path.as_secs_f64() } else { f64::MAX };
         let over_s = seen.queue.as_secs_f64() - self.usual.long_s().min(most_s);
         self.usual.note(seen.queue.as_secs_f64());
+        self.queue = seen.queue;
         let next = if over_s > 0.0 || seen.is_congested {
             self.found_bytes_s = Some(delivered_bytes_s);
             let halved = 0.5_f64.powf((over_s / HALVING_QUEUE_S).clamp(0.0, 1.0));
