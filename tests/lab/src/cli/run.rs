@@ -7,7 +7,7 @@ use shadecast_desktop::flags::{MOST_S, number, size};
 use shadecast_lab::experiments::run::{self, Report};
 use shadecast_lab::experiments::viewers::run_each;
 use shadecast_lab::session::options::{
-    Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, ViewerOptions, parse_room,
+    COMPARE_EVERY, Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, ViewerOptions, parse_room,
 };
 use shadecast_protocol::limits::MAX_STORE_PAGES;
 use shadecast_server::pacing::quality::QualityOptions;
@@ -62,7 +62,7 @@ pub(super) struct RunArgs {
     #[arg(long, default_value_t = 0)]
     dump_every: u32,
     /// Compares with the truth every N display frames (with --dump-every: those that are written)
-    #[arg(long, default_value_t = 12, value_parser = value_parser!(u32).range(1..))]
+    #[arg(long, default_value_t = COMPARE_EVERY, value_parser = value_parser!(u32).range(1..))]
     compare_every: u32,
     /// Compares nothing before this display frame, so that texels and bits have settled
     #[arg(long, value_name = "FRAME", default_value_t = 0)]

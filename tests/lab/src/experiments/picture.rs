@@ -2,7 +2,7 @@
 //! head.
 
 use super::run::run;
-use crate::session::options::{Head, Renderer, RunOptions};
+use crate::session::options::{COMPARE_EVERY, Head, Renderer, RunOptions};
 use serde_json::{Map, Value, json};
 use shadecast_scene::load::SceneSource;
 use shadecast_server::atlas::surround::DEFAULT_SURROUND;
@@ -14,9 +14,8 @@ const SIDE_PIXELS: u32 = 1300;
 /// Of each run, seconds of virtual time: two until texels, bits and clock have settled, and half a round of the path.
 const SECONDS: f64 = 3.0;
 const CAUSES_SECONDS: f64 = 2.5;
-/// The first display frame that is compared, at 72 a second, and how many lie between two.
+/// The first display frame that is compared, at 72 a second.
 const COMPARE_FROM: u64 = 144;
-const COMPARE_EVERY: u32 = 12;
 
 /// A run: its key in the result, how, and in which atlas.
 struct Way {

@@ -115,7 +115,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "table1-growth" => table1_growth(results),
         "paper-size" => printed::<PaperSize>(name, results)?,
         "render-thread" => printed::<RenderThread>(name, results)?,
-        "links-steps" | "links" => printed::<Links>(name, results)?,
+        name if name.starts_with("links-") => printed::<Links>(name, results)?,
         "slow-dragons3" => printed::<Slow>(name, results)?,
         "live-window-dragons3" => printed::<Live>(name, results)?,
         "budget" => crate::results::budget::table(),

@@ -42,10 +42,10 @@ use std::process::Command;
 use std::sync::Arc;
 use std::time::Instant;
 
-/// Display frames between two that are compared, at 72 a second.
-const COMPARE_EVERY: u32 = 24;
+/// Display frames between two that are compared: no multiple of twelve, as [`crate::session::options::COMPARE_EVERY`] says.
+const COMPARE_EVERY: u32 = 23;
 /// The same for the runs with longer stages.
-const COMPARE_EVERY_SLOW: u32 = 36;
+const COMPARE_EVERY_SLOW: u32 = 35;
 /// Seconds of each run that motion is measured in: an outage from the second to the fifth, and what follows.
 const MOTION_SECONDS: f64 = 6.0;
 /// Nine dragons, each cause of bytes by itself.
@@ -53,7 +53,13 @@ const NINE_SECONDS: f64 = 10.0;
 const NINE_LINK: &str = "latency=20ms,jitter=5ms,rate=400mbit";
 /// Seconds on the link that changes, a quarter at each rate, and on each of the others.
 const STEPS_SECONDS: f64 = 60.0;
-const LINK_SECONDS: f64 = 8.0;
+const LINK_SECONDS: f64 = 60.0;
+/// Jobs of the other links: which of them each measures.
+const LINKS: [(&str, fn(&str) -> bool); 3] = [
+    ("links-lan", |name| name.starts_with("LAN") || name.starts_with("5 ms")),
+    ("links-loss", |name| name.ends_with("lost") && !name.starts_with("5 ms")),
+    ("links-events", |name| !name.starts_with("LAN") && !name.ends_with("lost") && name != "steps"),
+];
 /// Seconds that each attack lasts.
 const HOSTILE_SECONDS: f64 = 20.0;
 /// Seconds for which each neighbour is beside a lawful client, in each round.
@@ -230,9 +236,10 @@ fn jobs() -> Vec<Job> {
         bad_links(folder, 3, (AtlasExtent::DEFAULT, STEPS_SECONDS), |name| name == "steps").map(Some)
     }));
     // A small atlas, which is encoded soon: the pictures' rate is what counts.
-    jobs.push(Job::new("links", |folder| {
-        bad_links(folder, 1, (AtlasExtent::MIN, LINK_SECONDS), |name| name != "steps").map(Some)
-    }));
+    for (name, is_wanted) in LINKS {
+        let links = move |folder: &Path| bad_links(folder, 1, (AtlasExtent::MIN, LINK_SECONDS), is_wanted);
+        jobs.push(Job::new(name, move |folder| links(folder).map(Some)));
+    }
     jobs.push(Job::new("live-window-dragons3", live_window));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
