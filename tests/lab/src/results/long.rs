@@ -54,8 +54,11 @@ const NINE_LINK: &str = "latency=20ms,jitter=5ms,rate=400mbit";
 /// Seconds on the link that changes, a quarter at each rate, and on each of the others.
 const STEPS_SECONDS: f64 = 60.0;
 const LINK_SECONDS: f64 = 60.0;
+/// Whether a link of this name is measured.
+type IsWanted = fn(&str) -> bool;
+
 /// Jobs of the other links: which of them each measures.
-const LINKS: [(&str, fn(&str) -> bool); 3] = [
+const LINKS: [(&str, IsWanted); 3] = [
     ("links-lan", |name| name.starts_with("LAN") || name.starts_with("5 ms")),
     ("links-loss", |name| name.ends_with("lost") && !name.starts_with("5 ms")),
     ("links-events", |name| !name.starts_with("LAN") && !name.ends_with("lost") && name != "steps"),
@@ -358,7 +361,7 @@ fn bad_links(
     folder: &Path,
     dragons: u32,
     (atlas, seconds): (AtlasExtent, f64),
-    is_wanted: fn(&str) -> bool,
+    is_wanted: IsWanted,
 ) -> anyhow::Result<Value> {
     let options = RunOptions {
         extent_pixels: [128, 128],
