@@ -55,7 +55,7 @@ pub struct WayState {
     pub streams_under_way: u64,
     /// Bytes that may be under way at once: on a new connection far more than a slow link takes.
     pub window_bytes: u64,
-    /// Shortest round trip so far, nanoseconds.
+    /// Round trip from which on something is late, nanoseconds: the shortest so far, and the usual one beside a flow that fills the queue.
     pub round_trip_ns: i64,
     /// The usual one, nanoseconds.
     pub smoothed_ns: i64,
@@ -67,10 +67,11 @@ pub struct WayState {
 
 impl From<PeerStats> for WayState {
     fn from(stats: PeerStats) -> Self {
+        let expected = if stats.is_competing { stats.rtt } else { stats.min_rtt };
         Self {
             streams_under_way: stats.streams_under_way,
             window_bytes: stats.window_bytes,
-            round_trip_ns: stats.min_rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
+            round_trip_ns: expected.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
             smoothed_ns: stats.rtt.min(LONGEST_ROUND_TRIP).as_nanos() as i64,
             delivered_bytes_s: stats.delivered_bit_per_s / 8,
             target_bytes_s: stats.target_bit_per_s / 8,
@@ -219,6 +220,16 @@ mod tests {
         assert_eq!(picture_bytes(1000.0, 200.0, period_s, 2.0), 800.0 * 2.0 * period_s);
         assert_eq!(picture_bytes(1000.0, 200.0, period_s, 50.0), 80.0, "ten a second");
         assert_eq!(picture_bytes(1000.0, 0.0, 0.5, 50.0), 500.0, "as seldom as they are wanted");
+    }
+
+    #[test]
+    fn beside_a_flow_that_fills_the_queue_nothing_is_late_before_its_wait() {
+        let (min_rtt, rtt) = (Duration::from_millis(20), Duration::from_millis(240));
+        let expected_ms = |is_competing| {
+            let stats = PeerStats { min_rtt, rtt, is_competing, ..PeerStats::default() };
+            WayState::from(stats).round_trip_ns / 1_000_000
+        };
+        assert_eq!([false, true].map(expected_ms), [20, 240]);
     }
 
     #[test]

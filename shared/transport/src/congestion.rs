@@ -87,16 +87,25 @@ const CAP_GROWTH: f64 = 1.1;
 
 /// What a connection's controller tells beside quinn's metrics: how fast to send.
 #[derive(Debug, Default)]
-pub struct TargetRate(AtomicU64);
+pub struct TargetRate {
+    bytes_s: AtomicU64,
+    is_competing: AtomicBool,
+}
 
 impl TargetRate {
     /// Bytes per second; `None` before anything is known of the path.
     pub fn bytes_s(&self) -> Option<u64> {
-        Some(self.0.load(Ordering::Relaxed)).filter(|rate| *rate > 0)
+        Some(self.bytes_s.load(Ordering::Relaxed)).filter(|rate| *rate > 0)
     }
 
-    fn set(&self, bytes_s: Option<f64>) {
-        self.0.store(bytes_s.unwrap_or(0.0) as u64, Ordering::Relaxed);
+    /// Whether another flow fills the queue, which is then accepted.
+    pub fn is_competing(&self) -> bool {
+        self.is_competing.load(Ordering::Relaxed)
+    }
+
+    fn set(&self, bytes_s: Option<f64>, is_competing: bool) {
+        self.bytes_s.store(bytes_s.unwrap_or(0.0) as u64, Ordering::Relaxed);
+        self.is_competing.store(is_competing, Ordering::Relaxed);
     }
 }
 
@@ -122,7 +131,7 @@ impl SteadyConfig {
 
 impl ControllerFactory for SteadyConfig {
     fn build(self: Arc<Self>, _now: Instant, current_mtu: u16) -> Box<dyn Controller> {
-        self.target.set(None);
+        self.target.set(None, false);
         let steady = Steady::new(current_mtu, self.target.clone());
         Box::new(Steady { probing: self.probing.clone(), ..steady })
     }
@@ -462,7 +471,8 @@ impl Steady {
     fn tell(&self) {
         let round_trip_s = self.smoothed_rtt.map_or(f64::MAX, |rtt| rtt.as_secs_f64());
         let competing = self.cross_traffic.window_bytes().map(|_| self.limit() as f64 / round_trip_s);
-        self.told.set(self.target.bytes_s().into_iter().chain(competing).reduce(f64::max));
+        let bytes_s = self.target.bytes_s().into_iter().chain(competing).reduce(f64::max);
+        self.told.set(bytes_s, competing.is_some());
     }
 
     /// The window without the bound that congestion sets, bytes.
@@ -584,7 +594,7 @@ impl Controller for Steady {
         self.trains.acked(now, sent, bytes);
         if let Some(bytes_s) = self.trains.bytes_s().filter(|_| self.target.bytes_s().is_none()) {
             self.target.begin(bytes_s);
-            self.told.set(self.target.bytes_s());
+            self.tell();
             self.narrow(bytes_s, rtt.get());
         }
         self.cross_traffic.on_ack(now, sent, bytes, self.in_flight_bytes, rtt);

@@ -186,6 +186,8 @@ pub struct PeerStats {
     pub delivered_bit_per_s: u64,
     /// How fast to send, so that no queue stands, bit/s; 0 before anything is known.
     pub target_bit_per_s: u64,
+    /// True while another flow fills the queue: packets wait as long as it makes them.
+    pub is_competing: bool,
     /// True once the network, not what there was to send, has set that rate.
     pub bottleneck_known: bool,
 }
@@ -1009,6 +1011,7 @@ impl Endpoint {
             unacknowledged_bytes: peer.unacknowledged_bytes() as u64,
             delivered_bit_per_s: congestion.pacing_rate.unwrap_or(0),
             target_bit_per_s: peer.target.bytes_s().unwrap_or(0) * 8,
+            is_competing: peer.target.is_competing(),
             bottleneck_known: congestion.ssthresh.is_some(),
         })
     }
