@@ -3,9 +3,8 @@
 use crate::time::RingPlace;
 use shadecast_protocol::time::{Grid, GridIndex, WorldTime};
 
-/// Times from one point of the grid to the next, that of the first included. With 4, updates were shaded up to 4 ms beside the middle of their
-/// time on display: shadows that move lost 0.5 dB.
-const PARTS: i64 = 16;
+/// Times from one point of the grid to the next, that of the first included.
+const PARTS: i64 = 4;
 
 /// A point of the time grid, or a part of the way to the next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -21,7 +20,7 @@ impl From<GridIndex> for ViewTime {
 }
 
 impl ViewTime {
-    /// The nearest to a time: no farther than a 32nd of the grid's spacing.
+    /// The nearest to a time: no farther than an eighth of the grid's spacing.
     pub(crate) fn nearest(grid: Grid, time: WorldTime) -> Self {
         let before = grid.floor(time);
         let passed_ns = time.since(grid.time_of(before)).clamp(0, grid.spacing_ns);
@@ -89,11 +88,11 @@ mod tests {
     const GRID: Grid = Grid { spacing_ns: 33_333_333 };
 
     #[test]
-    fn no_time_is_farther_than_a_32nd_of_a_step() {
+    fn no_time_is_farther_than_an_eighth_of_a_step() {
         for at in (-40_000_000..90_000_000).step_by(777_777).map(WorldTime) {
             let nearest = ViewTime::nearest(GRID, at);
             let apart_ns = nearest.time(GRID).since(at).abs();
-            assert!(apart_ns <= GRID.spacing_ns / 32 + 2, "{at:?}: {apart_ns} ns");
+            assert!(apart_ns <= GRID.spacing_ns / 8 + 2, "{at:?}: {apart_ns} ns");
         }
     }
 

@@ -42,7 +42,7 @@ pub const BURST_RATE: f64 = 50e6;
 /// quinn sends a window in this part of a round trip: its pacer divides by it.
 const PACER_GAIN: f64 = 1.25;
 /// The window never falls below this many packets.
-pub(crate) const MIN_WINDOW_PACKETS: u64 = 16;
+const MIN_WINDOW_PACKETS: u64 = 16;
 /// Largest window of the startup phase, in products of measured rate and shortest round trip: 2 would double it.
 const STARTUP_GAIN: f64 = 4.0;
 /// Window in steady state, in products of bandwidth and shortest round trip.
@@ -461,6 +461,7 @@ impl Steady {
                 in_flight_bytes: self.in_flight_bytes,
                 target_bytes_s: self.target.bytes_s().unwrap_or(0.0),
                 mtu: self.mtu,
+                min_window_bytes: self.min_window(),
             };
             self.cross_traffic.note_round(end, seen);
         }

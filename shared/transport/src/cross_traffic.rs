@@ -12,7 +12,6 @@
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
-use crate::congestion::MIN_WINDOW_PACKETS;
 use quinn_proto::RttEstimator;
 use quinn_proto::congestion::{Controller, Cubic, CubicConfig};
 
@@ -94,8 +93,9 @@ pub(crate) struct Seen {
     pub(crate) in_flight_bytes: u64,
     /// What avoids a queue, bytes per second.
     pub(crate) target_bytes_s: f64,
-    /// Bytes of a packet.
+    /// Bytes of a packet, and of the smallest window.
     pub(crate) mtu: u64,
+    pub(crate) min_window_bytes: u64,
 }
 
 #[derive(Clone, Debug)]
@@ -130,7 +130,7 @@ impl CrossTraffic {
         if is_followed && now.saturating_duration_since(stands.since) >= STANDS {
             let was_away = |(left, _): &(Instant, u64)| now.saturating_duration_since(*left) < REMEMBERED;
             let remembered_bytes = self.left.filter(was_away).map_or(0, |(_, window)| window / 2);
-            let least_bytes = seen.in_flight_bytes.max(MIN_WINDOW_PACKETS * seen.mtu);
+            let least_bytes = seen.in_flight_bytes.max(seen.min_window_bytes);
             let mut config = CubicConfig::default();
             config.initial_window(least_bytes.max(remembered_bytes));
             let cubic = Cubic::new(Arc::new(config), now, u16::try_from(seen.mtu).unwrap_or(u16::MAX));
@@ -211,8 +211,14 @@ mod tests {
         let target_bytes_s = 1e6;
         for round in 1..=seconds * 10 {
             let sent_bytes = (sent_part * target_bytes_s * round as f64 * 0.1) as u64;
-            let seen =
-                Seen { queue: MS(queue_ms), sent_bytes, in_flight_bytes: 50_000, target_bytes_s, mtu: 1200 };
+            let seen = Seen {
+                queue: MS(queue_ms),
+                sent_bytes,
+                in_flight_bytes: 50_000,
+                target_bytes_s,
+                mtu: 1200,
+                min_window_bytes: 20_000,
+            };
             traffic.note_round(begin + MS(100 * round), seen);
         }
         begin + MS(1000 * seconds)
