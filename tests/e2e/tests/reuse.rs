@@ -152,14 +152,15 @@ fn shadows_of_what_moves_are_nowhere_old() {
 #[test]
 fn reused_shading_differs_by_few_steps_for_a_moving_head() {
     let mut both = Both::new(dragons(3, false));
+    // An NVIDIA H100 differs by five.
+    let most = if both.gpu.is_cpu() { 4 } else { 5 };
     let (mut shaded, mut texels) = (0, 0);
     for update in 0..SETTLED {
         let sway = (update as f32 * 0.2).sin();
         let (pictures, shows) =
             both.update(AT + Vec3::X * 0.05 * sway, Quat::from_rotation_y(0.1 * sway) * down(0.3));
         let (worst, block) = worst_luma(&pictures, &both.blocks());
-        // Four on llvmpipe, five on an NVIDIA H100.
-        assert!(worst <= 5, "update {update}: {worst} steps in {block:?}");
+        assert!(worst <= most, "update {update}: {worst} steps in {block:?}");
         (shaded, texels) = (shaded + shows.reused.shaded_texels, texels + shows.reused.texels);
     }
     println!("{:.3} of the texels were shaded", shaded as f64 / texels as f64);
