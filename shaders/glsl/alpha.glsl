@@ -2,10 +2,11 @@
 // `textures`.
 #ifndef ALPHA_GLSL
 #define ALPHA_GLSL
+#include "alpha_lookup.glsl"
 
-// `lookup` is what alpha_lookup gave the vertices, interpolated.
+// `lookup` is what vertices gave, interpolated.
 bool is_cut_out(MaterialGpu m, vec3 lookup) {
-    if (m.alpha_cutoff == NO_ALPHA_CUTOFF) return false;
+    if (IS_MASKED_DRAW == 0 || m.alpha_cutoff == NO_ALPHA_CUTOFF) return false;
     float alpha = m.base_color.a * lookup.z;
     if (m.base_color_texture != NO_TEXTURE) alpha *= texture(textures[nonuniformEXT(m.base_color_texture)], lookup.xy).a;
     return alpha < m.alpha_cutoff;

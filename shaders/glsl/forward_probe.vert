@@ -2,6 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 // The ground truth's vertex path without what only shading needs.
 #include "scene.glsl"
+#include "alpha_lookup.glsl"
 #define SAVED_VERTICES_BINDING 1
 #define BOXES_BINDING 9
 #include "saved.glsl"

@@ -2,6 +2,7 @@
 #ifndef ID_BUFFER_GLSL
 #define ID_BUFFER_GLSL
 #include "scene.glsl"
+#include "alpha_lookup.glsl"
 
 layout(std430, binding = 3) readonly buffer PatchOfTriangle { uint patch_of_triangle[]; };
 layout(std430, binding = 4) readonly buffer Materials { MaterialGpu materials[]; };

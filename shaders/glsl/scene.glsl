@@ -55,12 +55,6 @@ vec2 slot_uv(MaterialGpu m, uint slot, vec2 uv, vec2 uv1, float one) {
     return vec2(dot(u.xyz, place), dot(v.xyz, place));
 }
 
-// What an alpha test needs of a vertex: the base colour's texture coordinates, and the vertex colour's alpha.
-vec3 alpha_lookup(MaterialGpu m, VertexGpu v) {
-    vec2 uv = slot_uv(m, BASE_COLOR_SLOT, vec2(v.position_u.w, v.normal_v.w), v.uv1, 1.0);
-    return vec3(uv, unpackUnorm4x8(v.color).a);
-}
-
 // One view: a predicted one, an eye, or a camera of the ground truth.
 struct ViewGpu {
     mat4 clip_from_world;

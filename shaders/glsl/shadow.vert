@@ -2,6 +2,7 @@
 #extension GL_GOOGLE_include_directive : require
 // The scene as the sun sees it.
 #include "scene.glsl"
+#include "alpha_lookup.glsl"
 #include "light.glsl"
 #define SAVED_VERTICES_BINDING 1
 #define BOXES_BINDING 5

@@ -1,4 +1,4 @@
-//! What every stage that rasterises the scene shares: a pipeline for each kind of side, and the walk over instances and
+//! What every stage that rasterises the scene shares: a pipeline for each kind of material, and the walk over instances and
 //! primitives.
 
 use crate::scene::meshes::MeshLod;
@@ -7,18 +7,34 @@ use ash::vk;
 use shadecast_gpu::{
     BindGroup, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Layout, Recorder, RenderPass,
 };
-use shadecast_scene::Primitive;
+use shadecast_scene::{Material, Primitive};
 use shadecast_shaders::Shader;
+use std::collections::BTreeSet;
 use std::ops::Range;
 use std::sync::Arc;
 
 /// The LOD that shadows and the truth are drawn at.
 pub(crate) const FULL_DETAIL: usize = 0;
 
+/// What a pipeline differs in from another of the same pass.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Kind {
+    /// Both sides are drawn.
+    is_double_sided: bool,
+    /// Its materials may have holes: fragments are tested.
+    is_masked: bool,
+}
+
+impl Kind {
+    fn of(material: &Material) -> Self {
+        Self { is_double_sided: material.double_sided, is_masked: material.alpha_cutoff.is_some() }
+    }
+}
+
 /// The pipelines of a pass that draws the scene with depth test.
 pub(crate) struct Geometry {
-    culled: GraphicsPipeline,
-    double_sided: GraphicsPipeline,
+    /// One for each kind of material that the scene has; one at least.
+    pipelines: Vec<(Kind, GraphicsPipeline)>,
     /// Whether the vertex shader reads the indices by itself.
     pulls_indices: bool,
 }
@@ -46,25 +62,28 @@ impl Geometry {
         fragment: &Shader,
         pass: &RenderPass,
     ) -> Result<Self, GpuError> {
-        let pipeline = |cull| {
+        let pipeline = |kind: Kind| {
             let desc = GraphicsPipelineDesc {
-                cull,
+                cull: if kind.is_double_sided { vk::CullModeFlags::NONE } else { vk::CullModeFlags::BACK },
                 depth_write: Some(true),
                 textures: scene.materials.texture_count(),
+                constants: &[u32::from(kind.is_masked)],
                 ..GraphicsPipelineDesc::new(vertex, fragment, pass)
             };
-            GraphicsPipeline::new(gpu, &desc)
+            Ok((kind, GraphicsPipeline::new(gpu, &desc)?))
         };
+        let materials = scene.scene.models.iter().flat_map(|model| &model.materials);
+        let simplest = Kind { is_double_sided: false, is_masked: false };
+        let kinds = BTreeSet::from_iter(materials.map(Kind::of).chain([simplest]));
         Ok(Self {
-            culled: pipeline(vk::CullModeFlags::BACK)?,
-            double_sided: pipeline(vk::CullModeFlags::NONE)?,
+            pipelines: kinds.into_iter().map(pipeline).collect::<Result<_, GpuError>>()?,
             pulls_indices: vertex.bindings.iter().any(|binding| binding.name == "Indices"),
         })
     }
 
-    /// Layout of both, for bind groups.
+    /// Layout of all, for bind groups.
     pub(crate) fn layout(&self) -> &Arc<Layout> {
-        self.culled.layout()
+        self.pipelines[0].1.layout()
     }
 
     /// Draws every instance at the LOD that `lod_of` gives for its number, if any.
@@ -92,13 +111,12 @@ impl Geometry {
         push: impl Fn(&Draw<'_>) -> P,
     ) {
         recorder.bind_indices(&scene.meshes.indices, 0);
-        for (pipeline, double_sided) in [(&self.culled, false), (&self.double_sided, true)] {
+        for (kind, pipeline) in &self.pipelines {
             recorder.bind(pipeline, group);
             for (number, instance) in scene.numbering.instances.iter().enumerate() {
                 let Some(lod_index) = lod_of(number) else { continue };
                 let (model, source) = (&scene.models[instance.model], &scene.scene.models[instance.model]);
-                let is_so =
-                    |p: &&Primitive| source.materials[p.material as usize].double_sided == double_sided;
+                let is_so = |p: &&Primitive| Kind::of(&source.materials[p.material as usize]) == *kind;
                 let lod = &model.lods[lod_index];
                 for primitive in lod.primitives.iter().filter(is_so) {
                     for run in runs([number, lod_index], primitive) {

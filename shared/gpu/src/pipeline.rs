@@ -45,6 +45,8 @@ pub struct GraphicsPipelineDesc<'a> {
     pub vertex_input: Option<VertexInput<'a>>,
     /// Textures of the scene, where a shader reads them.
     pub textures: u32,
+    /// Specialisation constants of both shaders, numbered as they stand.
+    pub constants: &'a [u32],
 }
 
 impl<'a> GraphicsPipelineDesc<'a> {
@@ -60,16 +62,17 @@ impl<'a> GraphicsPipelineDesc<'a> {
             blend: false,
             vertex_input: None,
             textures: 0,
+            constants: &[],
         }
     }
 
     /// Says all that a pipeline of it is made of.
     fn key(&self) -> String {
-        let Self { vertex, fragment, pass, topology, cull, depth_write, blend, vertex_input, textures } =
-            self;
+        let Self { vertex, fragment, pass, topology, cull, depth_write, blend, .. } = self;
+        let Self { vertex_input, textures, constants, .. } = self;
         let shaders = [vertex, fragment].map(|shader| identity(shader));
         format!(
-            "{shaders:?} {} {topology:?} {cull:?} {depth_write:?} {blend} {vertex_input:?} {textures}",
+            "{shaders:?} {} {topology:?} {cull:?} {depth_write:?} {blend} {vertex_input:?} {textures} {constants:?}",
             pass.key
         )
     }
@@ -89,6 +92,19 @@ fn module(gpu: &Gpu, shader: &Shader) -> Result<vk::ShaderModule, GpuError> {
     let info = vk::ShaderModuleCreateInfo::default().code(shader.words);
     // SAFETY: the words are SPIR-V that glslangValidator wrote.
     unsafe { gpu.device().create_shader_module(&info, None) }.doing("creating a shader module")
+}
+
+fn constant_entries(constants: &[u32]) -> Vec<vk::SpecializationMapEntry> {
+    let entry = |id: u32| vk::SpecializationMapEntry { constant_id: id, offset: id * 4, size: 4 };
+    (0..constants.len() as u32).map(entry).collect()
+}
+
+/// A shader takes those of its own constants.
+fn specialisation<'a>(
+    entries: &'a [vk::SpecializationMapEntry],
+    constants: &'a [u32],
+) -> vk::SpecializationInfo<'a> {
+    vk::SpecializationInfo::default().map_entries(entries).data(bytemuck::cast_slice(constants))
 }
 
 impl ComputePipeline {
@@ -119,10 +135,8 @@ impl ComputePipeline {
     ) -> Result<Made, GpuError> {
         let layout = Layout::fixing(gpu, &[shader], fixed, 0)?;
         let module = module(gpu, shader)?;
-        let entry = |id: u32| vk::SpecializationMapEntry { constant_id: id, offset: id * 4, size: 4 };
-        let entries: Vec<_> = (0..constants.len() as u32).map(entry).collect();
-        let specialisation =
-            vk::SpecializationInfo::default().map_entries(&entries).data(bytemuck::cast_slice(constants));
+        let entries = constant_entries(constants);
+        let specialisation = specialisation(&entries, constants);
         let stage = vk::PipelineShaderStageCreateInfo::default()
             .stage(vk::ShaderStageFlags::COMPUTE)
             .module(module)
@@ -207,8 +221,14 @@ fn create(
     layout: &Layout,
     modules: [vk::ShaderModule; 2],
 ) -> Result<vk::Pipeline, GpuError> {
+    let entries = constant_entries(desc.constants);
+    let specialisation = specialisation(&entries, desc.constants);
     let stage = |module, stage| {
-        vk::PipelineShaderStageCreateInfo::default().stage(stage).module(module).name(c"main")
+        vk::PipelineShaderStageCreateInfo::default()
+            .stage(stage)
+            .module(module)
+            .specialization_info(&specialisation)
+            .name(c"main")
     };
     let stages =
         [stage(modules[0], vk::ShaderStageFlags::VERTEX), stage(modules[1], vk::ShaderStageFlags::FRAGMENT)];
