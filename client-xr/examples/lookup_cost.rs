@@ -100,8 +100,8 @@ impl Bench {
     }
 
     fn way(&self, reconstruction: Reconstruction, page: u8) -> Result<Way, GpuError> {
-        let stage =
-            AtlasDraw::new(&self.gpu, &self.targets.pass, Lookup { reconstruction, ..Lookup::default() })?;
+        let lookup = Lookup { reconstruction, ..Lookup::default() };
+        let stage = AtlasDraw::new(&self.gpu, &self.targets.pass, lookup, page > 0)?;
         let mut recorder = self.gpu.record()?;
         let patches = u32::from(ACROSS) * u32::from(ACROSS);
         let shared = Shared { memory: &self.memory, store: &self.store, eyes: self.eyes.each_ref() };

@@ -3,6 +3,8 @@
 #include "environment.glsl"
 #include "store_lookup.glsl"
 
+// 0 where no block can be in the store: devices that evaluate both sides of a branch are spared its lookups.
+layout(constant_id = 0) const uint HAS_STORE = 1;
 layout(location = 0) in vec2 atlas_texel;
 layout(location = 1) flat in vec4 block; // left, top, right, bottom in texels
 layout(location = 2) flat in vec2 stored; // layer and highest mip level in the store; below 0: it lies in the atlas
@@ -17,7 +19,7 @@ vec4 pixel_footprint() {
 }
 
 bool is_stored() {
-    return stored.x >= 0.0;
+    return HAS_STORE != 0 && stored.x >= 0.0;
 }
 
 vec4 stored_color(vec4 footprint) {

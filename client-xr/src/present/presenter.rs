@@ -8,6 +8,7 @@ use super::scene::Scene;
 use super::scenes::Scenes;
 use super::stats::{ClientStats, Counters};
 use crate::display::{Display, Views};
+use crate::draw::stages::Stages;
 use crate::draw::stages::atlas_draw::{BUNDLES, PictureWays};
 use crate::draw::stages::batch::BATCHES;
 use crate::draw::stages::interpolate::Interpolation;
@@ -65,7 +66,7 @@ impl Presenter {
         Ok(Self {
             scenes: Scenes::default(),
             spent: Vec::with_capacity(MOST_LOANS),
-            renderer: Renderer::new(display, options.msaa, options.lookup)?,
+            renderer: Renderer::new(display, options)?,
             end,
             held: None,
             held_turns: 0,
@@ -110,7 +111,8 @@ impl Presenter {
 
     /// What is to make the pipelines of pictures on the device, for the intake.
     pub(crate) fn picture_ways(&self) -> PictureWays {
-        PictureWays::new(&self.renderer.gpu, &self.renderer.stages.targets.pass)
+        let Stages { targets, atlas, .. } = &self.renderer.stages;
+        PictureWays::new(&self.renderer.gpu, &targets.pass, atlas)
     }
 
     /// Pixels per eye, width and height.

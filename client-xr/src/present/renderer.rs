@@ -7,10 +7,10 @@ use super::stillness::Stillness;
 use crate::display::Display;
 use crate::draw::draw_list::Drawable;
 use crate::draw::stages::Stages;
-use crate::draw::stages::atlas_draw::Lookup;
 use crate::draw::stages::background::Backdrop;
 use crate::draw::stages::probe::{EyeView, Probe, ProbeView};
 use crate::draw::stages::text::{Text, panel_ahead};
+use crate::options::ClientOptions;
 use crate::report::FrameReport;
 use shadecast_gpu::{Gpu, GpuError, Recorder, Ticket, Timings, vk};
 use shadecast_protocol::pose::Pose;
@@ -59,12 +59,9 @@ pub(crate) struct Words {
 }
 
 impl Renderer {
-    /// On an open display, with so many samples a pixel.
-    pub(crate) fn new(
-        display: Box<dyn Display>,
-        msaa: Option<u32>,
-        lookup: Lookup,
-    ) -> Result<Self, GpuError> {
+    /// On an open display.
+    pub(crate) fn new(display: Box<dyn Display>, options: &ClientOptions) -> Result<Self, GpuError> {
+        let ClientOptions { msaa, lookup, store_pages, .. } = *options;
         let gpu = display.gpu().clone();
         let eyes = display.eye_images();
         // Without a GPU each sample costs as much as a pixel.
@@ -80,7 +77,7 @@ impl Renderer {
             stillness: Stillness::default(),
             figures: FiguresPanel::default(),
         };
-        let stages = Stages::new(&gpu, display.eye_images(), samples, lookup)?;
+        let stages = Stages::new(&gpu, display.eye_images(), samples, (lookup, store_pages > 0))?;
         Ok(Self { stages, probe: None, last_drawn: None, last_ticket: None, gpu, display, words })
     }
 

@@ -60,6 +60,7 @@ pub struct Lookup {
 /// The pipelines.
 pub struct AtlasDraw {
     chroma: Chroma,
+    has_store: bool,
     ways: Ways,
     sampler: Sampler,
     settle: Settle,
@@ -90,6 +91,7 @@ pub struct Shared<'a> {
 pub struct PictureWays {
     gpu: Arc<Gpu>,
     pass: Arc<RenderPass>,
+    has_store: bool,
     made: Option<(Arc<YcbcrSampler>, Arc<OfPictures>)>,
 }
 
@@ -233,18 +235,19 @@ impl EyeTargets {
 }
 
 impl AtlasDraw {
-    /// The pipelines for `pass`.
-    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, lookup: Lookup) -> Result<Self, GpuError> {
+    /// The pipelines for `pass`. With `has_store`, blocks may be looked up in the store.
+    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, lookup: Lookup, has_store: bool) -> Result<Self, GpuError> {
         let Lookup { reconstruction, chroma } = lookup;
         let (fragment, masked) = match reconstruction {
             Reconstruction::Bilinear => (&CLIENT_ATLAS_FRAG, &CLIENT_ATLAS_MASKED_FRAG),
             Reconstruction::Bicubic => (&CLIENT_ATLAS_BICUBIC_FRAG, &CLIENT_ATLAS_MASKED_BICUBIC_FRAG),
         };
-        let ways = Ways::new(gpu, pass, [fragment, masked], None)?;
+        let ways = Ways::new(gpu, pass, [fragment, masked], (has_store, None))?;
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler =
             SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
-        Ok(Self { chroma, ways, sampler: Sampler::new(gpu, sampler)?, settle: Settle::new(gpu)? })
+        let (sampler, settle) = (Sampler::new(gpu, sampler)?, Settle::new(gpu)?);
+        Ok(Self { chroma, has_store, ways, sampler, settle })
     }
 
     /// Memory for a bundle of a connection with these capacities.
@@ -382,12 +385,13 @@ impl Ways {
         gpu: &Arc<Gpu>,
         pass: &RenderPass,
         [fragment, masked]: [&Shader; 2],
-        fixed: Option<FixedSampler>,
+        (has_store, fixed): (bool, Option<FixedSampler>),
     ) -> Result<Self, GpuError> {
         let pipeline = |vertex, fragment| {
             let desc = GraphicsPipelineDesc {
                 cull: vk::CullModeFlags::BACK,
                 depth_write: Some(true),
+                constants: &[u32::from(has_store)],
                 ..GraphicsPipelineDesc::new(vertex, fragment, pass)
             };
             GraphicsPipeline::fixing(gpu, &desc, fixed.clone())
@@ -432,9 +436,9 @@ impl Ways {
 }
 
 impl PictureWays {
-    /// None yet, for `pass`.
-    pub fn new(gpu: &Arc<Gpu>, pass: &Arc<RenderPass>) -> Self {
-        Self { gpu: gpu.clone(), pass: pass.clone(), made: None }
+    /// None yet, for `pass`, in place of those of `draw`.
+    pub fn new(gpu: &Arc<Gpu>, pass: &Arc<RenderPass>, draw: &AtlasDraw) -> Self {
+        Self { gpu: gpu.clone(), pass: pass.clone(), has_store: draw.has_store, made: None }
     }
 
     /// The device, for decoders whose pictures are in its memory.
@@ -456,7 +460,7 @@ impl PictureWays {
             true => [&CLIENT_ATLAS_COSITED_FRAG, &CLIENT_ATLAS_MASKED_COSITED_FRAG],
         };
         let fixed = Some(("picture", sampler.clone()));
-        let draw = Ways::new(&self.gpu, &self.pass, shaders, fixed)?;
+        let draw = Ways::new(&self.gpu, &self.pass, shaders, (self.has_store, fixed))?;
         let ways = Arc::new(OfPictures { draw, settle: SettlePicture::new(&self.gpu, sampler)? });
         self.made = Some((sampler.clone(), ways.clone()));
         Ok(ways)

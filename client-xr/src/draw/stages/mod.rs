@@ -83,12 +83,12 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// Pipelines and targets for `eyes`.
+    /// Pipelines and targets for `eyes`. With `has_store`, blocks may be looked up in the store.
     pub fn new(
         gpu: &Arc<Gpu>,
         eyes: EyeImages<'_>,
         samples: vk::SampleCountFlags,
-        lookup: Lookup,
+        (lookup, has_store): (Lookup, bool),
     ) -> Result<Self, GpuError> {
         let targets = EyeTargets::new(gpu, eyes, samples)?;
         let eyes = eye_buffers(gpu)?;
@@ -99,7 +99,7 @@ impl Stages {
                 let (scatter, interpolate) = (Scatter::new(gpu)?, Interpolate::new(gpu)?);
                 Ok((scatter, interpolate, PoseStage::new(gpu)?, Skin::new(gpu)?))
             });
-            let atlas = scope.spawn(|| AtlasDraw::new(gpu, pass, lookup));
+            let atlas = scope.spawn(|| AtlasDraw::new(gpu, pass, lookup, has_store));
             let background = scope.spawn(|| Background::new(gpu, pass, of_eyes));
             let hands = scope.spawn(|| Hands::new(gpu, pass, of_eyes));
             let notices = (Notice::new(gpu, pass, of_eyes)?, Notice::new(gpu, pass, of_eyes)?);

@@ -113,6 +113,7 @@ struct Bench {
     eyes: [Buffer; FRAMES_IN_FLIGHT],
     /// Without pages, unless a test has others.
     store: Store,
+    has_store: bool,
 }
 
 impl Bench {
@@ -143,7 +144,7 @@ impl Bench {
         let usual = eyes_gpu([Pose::IDENTITY; 2], [Pose::IDENTITY; 2], [Fov::symmetric_degrees(90.0); 2]);
         let eyes_in_clip_space = EyesGpu { clip_from_world: as_they_are, ..usual };
         eyes.iter_mut().for_each(|buffer| buffer.write(0, bytemuck::bytes_of(&eyes_in_clip_space)));
-        Self { gpu, image, targets, memory, eyes, store }
+        Self { gpu, image, targets, memory, eyes, store, has_store: pages > 0 }
     }
 
     fn shared(&self) -> Shared<'_> {
@@ -151,12 +152,12 @@ impl Bench {
     }
 
     /// Takes a picture in.
-    fn fill(&self, bundle: &mut BundleMemory, picture: &Picture) {
+    fn fill(&self, stage: &AtlasDraw, bundle: &mut BundleMemory, picture: &Picture) {
         match picture {
             Picture::Planes(planes) => bundle.planes.write(planes.planes()),
             Picture::OnDevice(DevicePicture { image, .. }) => {
                 let (image, lease) = (image.clone(), Box::new(()));
-                let ways = PictureWays::new(&self.gpu, &self.targets.pass).of(&image).unwrap();
+                let ways = PictureWays::new(&self.gpu, &self.targets.pass, stage).of(&image).unwrap();
                 bundle.on_device = Some((DevicePicture { image, is_foreign: false, lease }, ways));
             }
             Picture::FullChroma(_) => unreachable!("no test has such"),
@@ -180,7 +181,7 @@ impl Bench {
         let mut recorder = gpu.record().unwrap();
         let positions = Buffer::upload(gpu, "positions", &shown.positions).unwrap();
         recorder.copy_buffer(&positions, 0, &self.memory.positions, 0, positions.size());
-        let stage = AtlasDraw::new(gpu, &self.targets.pass, lookup).unwrap();
+        let stage = AtlasDraw::new(gpu, &self.targets.pass, lookup, self.has_store).unwrap();
         let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS, false).unwrap();
         let shared = self.shared();
         let mut set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, shared).unwrap();
@@ -193,7 +194,7 @@ impl Bench {
         if shown.patches.iter().any(|patch| patch.is_masked) {
             drawn = Drawable { cutouts: [0, drawn.opaque], ..Drawable::default() };
         }
-        self.fill(&mut bundle, picture);
+        self.fill(&stage, &mut bundle, picture);
         stage.record_picture(&mut recorder, &mut set, &bundle, shared).unwrap();
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         self.targets.begin(&mut recorder, 0);

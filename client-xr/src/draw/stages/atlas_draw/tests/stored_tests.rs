@@ -10,10 +10,10 @@ impl Bench {
     fn settle(&self, picture: &Picture, blocks: &[(Block, Block)]) {
         let gpu = &self.gpu;
         let mut recorder = gpu.record().unwrap();
-        let stage = AtlasDraw::new(gpu, &self.targets.pass, Lookup::default()).unwrap();
+        let stage = AtlasDraw::new(gpu, &self.targets.pass, Lookup::default(), true).unwrap();
         let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS, true).unwrap();
         let mut set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, self.shared()).unwrap();
-        self.fill(&mut bundle, picture);
+        self.fill(&stage, &mut bundle, picture);
         bundle.settled.write(blocks.iter().copied());
         stage.record_picture(&mut recorder, &mut set, &bundle, self.shared()).unwrap();
         gpu.wait(recorder.submit().unwrap()).unwrap();
