@@ -286,8 +286,10 @@ impl Layout {
             let at = self.around.binary_search_by_key(patch, |(patch, _)| *patch);
             at.ok().map(|at| self.around[at].1)
         };
+        let mut live = self.live.iter().peekable();
         for (patch, block) in before {
-            let is_live = self.live.binary_search(patch).is_ok();
+            while live.next_if(|live| *live < patch).is_some() {}
+            let is_live = live.next_if(|live| *live == patch).is_some();
             if !is_live {
                 self.states[patch.index()].follows = None;
             }
@@ -323,7 +325,8 @@ impl Layout {
         let (mut chosen, mut sizes) =
             (std::mem::take(&mut self.scratch.chosen), std::mem::take(&mut self.scratch.sizes));
         let are_all = have_their_turn(&turns, self.most_grown_texels, &mut chosen);
-        let has_turn = |turn: &Turn| chosen.binary_search_by_key(&turn.patch, |turn| turn.patch).is_ok();
+        let mut have_turn = chosen.iter().peekable();
+        let mut has_turn = |turn: &Turn| have_turn.next_if(|chosen| chosen.patch == turn.patch).is_some();
         sizes.clear();
         sizes.extend(turns.iter().map(|turn| if has_turn(turn) { turn.after } else { turn.before }));
         let texels = |size: &BlockSize| u64::from(size.texels());
@@ -439,19 +442,16 @@ impl Layout {
         &'a self,
         before: &'a [(ScenePatch, Block)],
     ) -> impl Iterator<Item = PlacementChange> + 'a {
-        let was = before.iter().map(|(patch, block)| (*patch, *block, false));
-        let is = self.all_placed().map(|placed| (placed.patch, placed.block, true));
+        let was = before.iter().map(|(patch, block)| PlacementChange { patch: *patch, block: Some(*block) });
+        let is = self.all_placed().map(|placed| (placed.patch, placed.block));
+        let mut before = was.clone().peekable();
+        let gone = was.map(|change| PlacementChange { block: None, ..change });
+        let placed = is.map(|(patch, block)| PlacementChange { patch, block: Some(block) });
         // Of a patch that is in both lists the second is given.
-        let old = |patch: ScenePatch| {
-            before.binary_search_by_key(&patch, |(p, _)| *p).ok().map(|index| before[index].1)
-        };
-        let change = move |(patch, block, is_placed): (ScenePatch, Block, bool)| PlacementChange {
-            patch,
-            block: is_placed.then_some(block),
-        };
-        merged(was, is, |a, b| a.0.cmp(&b.0))
-            .map(change)
-            .filter(move |change| old(change.patch) != change.block)
+        merged(gone, placed, |a, b| a.patch.cmp(&b.patch)).filter(move |change| {
+            while before.next_if(|old| old.patch < change.patch).is_some() {}
+            before.next_if(|old| old.patch == change.patch).and_then(|old| old.block) != change.block
+        })
     }
 
     /// The surround's patches with their blocks in the atlas, ascending.

@@ -4,6 +4,7 @@
 //! turn, and meanwhile changes by itself only where both that and what is asked for now would have it so.
 
 use crate::scene::numbering::ScenePatch;
+use crate::support::least::sort_while;
 use shadecast_protocol::atlas::BlockSize;
 use shadecast_protocol::limits::{BLOCK_INSET_TEXELS, BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
 
@@ -38,7 +39,10 @@ pub(crate) fn wanted_size(extent: [f32; 2], current: Option<BlockSize>) -> Block
 
 /// The exponent of the side for so many texels, inset included.
 fn side_log2(needed_texels: f32) -> u8 {
-    (needed_texels.max(1.0).log2().ceil() as u8).clamp(BLOCK_MIN_LOG2 as u8, BLOCK_MAX_LOG2 as u8)
+    // The least power of two that is no smaller, read from the bits of the number: a logarithm takes a tenth of placing all blocks.
+    let bits = needed_texels.max(1.0).to_bits();
+    let (exponent, is_power) = ((bits >> 23) - 127, bits & ((1 << 23) - 1) == 0);
+    (exponent + u32::from(!is_power)).clamp(BLOCK_MIN_LOG2, BLOCK_MAX_LOG2) as u8
 }
 
 /// What a patch's views show, and the block that it has.
@@ -128,16 +132,18 @@ pub(crate) fn have_their_turn(turns: &[Turn], most_grown_texels: u64, chosen: &m
     let most = ((turns.len() as f32 * CHANGED_SHARE) as usize).saturating_sub(by_themselves);
     let most = most.max(least_turns(turns.len()));
     let grows = |turn: &Turn| turn.after.texels() > turn.before.texels();
-    chosen.sort_unstable_by_key(|turn| (grows(turn), std::cmp::Reverse(turn.area_texels), turn.patch));
-    let mut grown_texels = 0;
-    let fits = |turn: &&Turn| {
+    let (mut left, mut grown_texels) = (most, 0);
+    let fits = |turn: &Turn| {
         let is_first = grown_texels == 0;
         grown_texels += if grows(turn) { u64::from(turn.after.texels()) } else { 0 };
-        is_first || grown_texels <= most_grown_texels
+        let has_turn = left > 0 && (is_first || grown_texels <= most_grown_texels);
+        left = left.saturating_sub(1);
+        has_turn
     };
-    let most = chosen.iter().take(most).take_while(fits).count();
-    let are_all = chosen.len() <= most;
-    chosen.truncate(most);
+    let rank = |turn: &Turn| (grows(turn), std::cmp::Reverse(turn.area_texels), turn.patch);
+    let have_it = sort_while(chosen, rank, fits);
+    let are_all = chosen.len() <= have_it;
+    chosen.truncate(have_it);
     chosen.sort_unstable_by_key(|turn| turn.patch);
     are_all
 }

@@ -122,6 +122,8 @@ pub struct Numbering {
     pub totals: Totals,
     /// By instance, then by LOD, of which there is one at least.
     patches: Vec<Vec<PatchRange>>,
+    /// The same in one list, ascending: the first patch, the instance and the LOD.
+    places: Vec<(ScenePatch, u32, u32)>,
 }
 
 impl Numbering {
@@ -129,8 +131,13 @@ impl Numbering {
     pub(crate) fn new(sizes: &[InstanceSize]) -> Self {
         let mut totals = Totals::default();
         let mut number = |size: &InstanceSize| (totals.place(size), totals.add(size));
-        let (instances, patches) = sizes.iter().map(&mut number).unzip();
-        Self { instances, totals, patches }
+        let (instances, patches): (_, Vec<Vec<PatchRange>>) = sizes.iter().map(&mut number).unzip();
+        let of_instance = |(instance, lods): (usize, &Vec<PatchRange>)| {
+            let place = move |(lod, range): (usize, &PatchRange)| (range.first, instance as u32, lod as u32);
+            lods.iter().enumerate().map(place).collect::<Vec<_>>()
+        };
+        let places = patches.iter().enumerate().flat_map(of_instance).collect();
+        Self { instances, totals, patches, places }
     }
 
     /// The patches of an instance at an LOD; none where its model has no such LOD.
@@ -145,14 +152,9 @@ impl Numbering {
 
     /// The instance that a patch of any LOD belongs to, and the LOD.
     pub(crate) fn place_of_patch(&self, patch: ScenePatch) -> (usize, usize) {
-        let begins = |lods: &Vec<PatchRange>| lods[0].first <= patch;
-        let instance = self.patches.partition_point(begins) - 1;
-        let is_within = |range: &PatchRange| range.has(patch);
-        // What has no patches begins where the next begins: the last of them is not the one.
-        let is_owner = |instance: &usize| self.patches[*instance].iter().any(is_within);
-        let instance = (0..=instance).rev().find(is_owner).expect("a patch of this scene");
-        let lod = self.patches[instance].iter().position(is_within);
-        (instance, lod.expect("it has the patch"))
+        // What has no patches begins where the next begins: the last of them is the one.
+        let (_, instance, lod) = self.places[self.places.partition_point(|(first, ..)| *first <= patch) - 1];
+        (instance as usize, lod as usize)
     }
 
     /// The instance that a patch of any LOD belongs to.

@@ -11,6 +11,7 @@ use crate::scene::gloss::{Gloss, Seen, radians};
 use crate::scene::numbering::ScenePatch;
 use crate::scene::shine::{Facet, StillLight};
 use crate::shading::shadow_change::{ShadowChange, SunBox};
+use crate::support::least::sort_while;
 use glam::Vec3;
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::pose::Pose;
@@ -180,6 +181,9 @@ struct Record {
     is_hidden: bool,
 }
 
+/// Whose turn is first, ascending; no two are alike.
+type Rank = (bool, Reverse<u32>, Reverse<u64>, ScenePatch);
+
 /// See the module.
 #[derive(Clone, Debug)]
 pub(crate) struct Reuse<S> {
@@ -194,6 +198,7 @@ pub(crate) struct Reuse<S> {
     records: Vec<Record>,
     before: Vec<Record>,
     order: Vec<u32>,
+    ranked: Vec<(Rank, u32)>,
     due: Vec<Due>,
     update: u32,
     /// Steps by which a copy in the store may differ.
@@ -215,6 +220,7 @@ impl<S: PartialEq + Default> Reuse<S> {
             records: Vec::new(),
             before: Vec::new(),
             order: Vec::new(),
+            ranked: Vec::new(),
             due: Vec::new(),
             update: 0,
             stored_steps: SEEN_STEPS,
@@ -392,18 +398,21 @@ impl<S: PartialEq + Default> Reuse<S> {
         let new_texels: u64 = order.iter().filter(new).map(texels).sum();
         self.reused.waiting = 0;
         if due > budget_texels {
-            order.sort_unstable_by_key(|at| records[*at as usize].rank(update));
+            let ranked = &mut self.ranked;
+            ranked.clear();
+            ranked.extend(order.iter().map(|at| (records[*at as usize].rank(update), *at)));
             let least = (budget_texels as f64 * f64::from(LEAST_OLD_SHARE)) as u64;
             let allowed = new_texels + budget_texels.saturating_sub(new_texels).max(least);
             let mut taken = 0;
-            let fits = |at: &&u32| {
+            let fits = |(_, at): &(Rank, u32)| {
                 let is_first_old = taken == new_texels;
                 taken += texels(at);
-                records[**at as usize].is_new() || is_first_old || taken <= allowed
+                records[*at as usize].is_new() || is_first_old || taken <= allowed
             };
-            let count = order.iter().take_while(fits).count();
+            let count = sort_while(ranked, |(rank, _)| *rank, fits);
             self.reused.waiting = (order.len() - count) as u32;
-            order.truncate(count);
+            order.clear();
+            order.extend(ranked[..count].iter().map(|(_, at)| *at));
             order.sort_unstable();
         }
     }
@@ -453,8 +462,7 @@ impl Record {
         }
     }
 
-    /// Whose turn is first, ascending; no two are alike.
-    fn rank(&self, update: u32) -> (bool, Reverse<u32>, Reverse<u64>, ScenePatch) {
+    fn rank(&self, update: u32) -> Rank {
         let waited = self.waits.map_or(0, |(_, since)| update - since);
         let late = if waited >= PATIENCE_UPDATES { waited } else { 0 };
         let side = (self.block.size.texels() as f32).sqrt();

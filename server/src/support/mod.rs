@@ -1,5 +1,6 @@
 //! Collections and helpers that know nothing of the product.
 
+pub(crate) mod least;
 pub mod lock;
 pub(crate) mod merged;
 pub(crate) mod named;
