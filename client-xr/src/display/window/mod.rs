@@ -32,8 +32,6 @@ use std::time::Duration;
 
 /// How long a window that shows nothing sleeps.
 const HIDDEN_WAIT: Duration = Duration::from_millis(10);
-/// Without a GPU a server may need the same cores: the part of a frame's time that it gets after each.
-const REST_PART: f64 = 0.3;
 const FORMAT: vk::Format = REQUIRED.eye_formats[0];
 
 /// How the window is opened.
@@ -149,7 +147,8 @@ impl WindowDisplay {
                 has_closed_figures: false,
                 is_leaving: false,
             },
-            pace: Pace::of_display(rate).resting(if is_cpu { REST_PART } else { 0.0 }),
+            // Without a GPU a server may need the same cores.
+            pace: Pace::of_display(rate).sharing(is_cpu),
             scale: if is_cpu { Scale::without_gpu(options.extent_pixels) } else { Scale::default() },
             part: Part { extent: options.extent_pixels, first_alone: !options.both_eyes },
             image: None,

@@ -5,9 +5,9 @@ const SCALES: [f32; 8] = [1.0, 0.84, 0.71, 0.59, 0.5, 0.42, 0.35, 0.3];
 /// Without a GPU drawing begins with so many pixels at most.
 const FIRST_PIXELS: f32 = 300e3;
 /// Frames that take longer are too slow, nanoseconds.
-const SLOW_NS: f64 = 70e6;
+const SLOW_NS: f64 = 64e6;
 /// Frames at the next larger scale should take no longer than this, nanoseconds.
-const ROOMY_NS: f64 = 50e6;
+const ROOMY_NS: f64 = 45e6;
 /// Frames whose time counts together, and frames before them, after a change.
 const COUNTED_FRAMES: u32 = 8;
 const SETTLE_FRAMES: u32 = 2;
@@ -140,8 +140,8 @@ mod tests {
 
     #[test]
     fn a_slow_device_draws_as_many_as_it_can() {
-        let [width, _] = after(&mut Scale::default(), 200, 20.0, 200.0);
-        assert_eq!(width, 500, "20 ms and a quarter of 200 ms");
+        let [width, _] = after(&mut Scale::default(), 200, 20.0, 170.0);
+        assert_eq!(width, 500, "20 ms and a quarter of 170 ms");
     }
 
     #[test]
