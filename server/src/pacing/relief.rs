@@ -29,8 +29,8 @@ const LATER_PART: f64 = 0.1;
 /// The last measure of unknown worth is given up once in so many updates, to see. First when first blocks have grown.
 const TRY_EVERY_UPDATES: u32 = 8;
 const FIRST_TRY_UPDATE: u32 = 24;
-/// Worth of [`Measure::CoarserDetail`] until it was tried: it is not given up just to see, since all blocks are new then, and again after.
-const EXPECTED_WORTH: f64 = 0.25;
+/// See [`Measure::expected_worth`].
+const EXPECTED_WORTH: f64 = 0.12;
 /// A measure must save this part of an update's time.
 const LEAST_WORTH: f64 = 0.04;
 /// A rehearsal's update is of few pixels: one that takes this part of what is allowed says that a viewer's will take more than that.
@@ -50,37 +50,55 @@ const FORGET_UPDATES: u32 = 600;
 pub enum Measure {
     /// No look at the surroundings of the head.
     NoSurround,
-    /// Levels of detail with four times the error, and shadows of no finer ones.
-    CoarserDetail,
     /// A third of the texels that are shaded again beside what is new.
     LessShading,
     /// Visibility at one of the three predicted times, in turn.
     OneTime,
+    /// Levels of detail with twice the error, and shadows of no finer ones.
+    TwiceTheError,
+    /// Twice as much again.
+    FourTimesTheError,
     /// Half the ID buffer's width and height.
     FewerIds,
     /// Half the texels of each block.
     FewerTexels,
-    /// Levels of detail with four times the error again.
-    CoarsestDetail,
+    /// Four times as much again.
+    SixteenTimesTheError,
 }
 
 impl Measure {
     /// In the order in which they are taken.
-    pub const ALL: [Self; 7] = [
+    pub const ALL: [Self; 8] = [
         Self::NoSurround,
-        Self::CoarserDetail,
         Self::LessShading,
         Self::OneTime,
+        Self::TwiceTheError,
+        Self::FourTimesTheError,
         Self::FewerIds,
         Self::FewerTexels,
-        Self::CoarsestDetail,
+        Self::SixteenTimesTheError,
     ];
+
+    /// Factor on the error of levels of detail.
+    pub(crate) fn error(self) -> f32 {
+        match self {
+            Self::TwiceTheError | Self::FourTimesTheError => 2.0,
+            Self::SixteenTimesTheError => 4.0,
+            _ => 1.0,
+        }
+    }
+
+    /// The part of an update's time that it is taken to save until it was tried. One that has such is not given up just to see: with other
+    /// levels of detail all blocks are new, and again after.
+    fn expected_worth(self) -> Option<f64> {
+        matches!(self, Self::TwiceTheError | Self::FourTimesTheError).then_some(EXPECTED_WORTH)
+    }
 
     /// Updates until it is in force, or given up, for all that is shown.
     fn settle_updates(self) -> u32 {
         match self {
-            Self::CoarserDetail | Self::CoarsestDetail => SETTLE_LODS_UPDATES,
             Self::LessShading => SETTLE_SHADING_UPDATES,
+            _ if self.error() > 1.0 => SETTLE_LODS_UPDATES,
             _ => SETTLE_UPDATES,
         }
     }
@@ -97,6 +115,11 @@ impl Measures {
     /// Whether any is in force.
     pub fn are_some(self) -> bool {
         self != Self::default()
+    }
+
+    /// Factor on the error of levels of detail.
+    pub(crate) fn error(self) -> f32 {
+        Measure::ALL.iter().filter(|measure| self.has(**measure)).map(|measure| measure.error()).product()
     }
 
     /// Whether a measure is in force.
@@ -153,8 +176,7 @@ impl Relief {
             allowed_s,
             moved: None,
             measures: if is_slow { Measures::ALL } else { Measures::default() },
-            worth: Measure::ALL
-                .map(|measure| (measure == Measure::CoarserDetail).then_some((EXPECTED_WORTH, 0))),
+            worth: Measure::ALL.map(|measure| measure.expected_worth().map(|worth| (worth, 0))),
             trial: None,
             update: 0,
             tried: FIRST_TRY_UPDATE - TRY_EVERY_UPDATES,
@@ -310,12 +332,12 @@ mod tests {
     use shadecast_protocol::pose::{Eye, Fov, Pose};
 
     /// A device whose updates take `base_s`, less for each measure in force.
-    fn took_s(relief: &Relief, base_s: f64, saves: [f64; 7]) -> f64 {
+    fn took_s(relief: &Relief, base_s: f64, saves: [f64; 8]) -> f64 {
         let in_force = Measure::ALL.iter().zip(saves).filter(|(measure, _)| relief.measures().has(**measure));
         base_s * (1.0 - in_force.map(|(_, part)| part).sum::<f64>())
     }
 
-    fn after(relief: &mut Relief, updates: u32, base_s: f64, saves: [f64; 7]) -> [bool; 7] {
+    fn after(relief: &mut Relief, updates: u32, base_s: f64, saves: [f64; 8]) -> [bool; 8] {
         (0..updates).for_each(|_| relief.note(took_s(relief, base_s, saves)));
         relief.measures.0
     }
@@ -324,27 +346,27 @@ mod tests {
         Relief::new(1.0 / 30.0, Some(0.01))
     }
 
-    const SAVES: [f64; 7] = [0.1, 0.2, 0.2, 0.15, 0.05, 0.1, 0.1];
+    const SAVES: [f64; 8] = [0.1, 0.2, 0.15, 0.1, 0.1, 0.05, 0.1, 0.1];
 
     #[test]
     fn a_device_that_makes_eight_updates_a_second_gives_nothing_up() {
-        assert_eq!(after(&mut fast(), 1000, 0.12, SAVES), [false; 7]);
+        assert_eq!(after(&mut fast(), 1000, 0.12, SAVES), [false; 8]);
     }
 
     #[test]
     fn a_slow_device_takes_measures_in_order_until_updates_are_fast_enough() {
-        assert_eq!(after(&mut fast(), 60, 0.2, SAVES), [true, true, true, false, false, false, false]);
-        assert_eq!(after(&mut fast(), 120, 1.0, SAVES), [true; 7]);
+        assert_eq!(after(&mut fast(), 60, 0.2, SAVES), [true, true, true, false, false, false, false, false]);
+        assert_eq!(after(&mut fast(), 120, 1.0, SAVES), [true; 8]);
     }
 
     #[test]
     fn a_device_that_is_slow_at_its_rehearsal_begins_with_all_measures_and_keeps_those_of_worth() {
         let slow = || Relief::new(1.0 / 30.0, Some(0.2));
         assert_eq!(slow().measures(), Measures::ALL);
-        assert_eq!(after(&mut slow(), 300, 1.0, SAVES), [true; 7]);
-        let some = [0.1, 0.0, 0.3, 0.0, 0.0, 0.0, 0.2];
-        assert_eq!(after(&mut slow(), 400, 1.0, some), [true, true, true, false, false, false, true]);
-        assert_eq!(after(&mut slow(), 1000, 0.08, SAVES), [false; 7], "it was not slow after all");
+        assert_eq!(after(&mut slow(), 300, 1.0, SAVES), [true; 8]);
+        let some = [0.1, 0.0, 0.3, 0.1, 0.1, 0.0, 0.0, 0.2];
+        assert_eq!(after(&mut slow(), 400, 1.0, some), [true, false, true, true, true, false, false, true]);
+        assert_eq!(after(&mut slow(), 1000, 0.08, SAVES), [false; 8], "it was not slow after all");
     }
 
     #[test]
@@ -363,9 +385,12 @@ mod tests {
 
     #[test]
     fn a_measure_without_worth_is_given_up() {
-        let some = [0.1, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0];
-        assert_eq!(after(&mut fast(), 180, 1.0, some), [true, false, true, false, false, false, false]);
-        assert_eq!(after(&mut fast(), 180, 0.7, [0.0; 7]), [false; 7], "nothing helps: nothing is given up");
+        let some = [0.1, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0];
+        assert_eq!(
+            after(&mut fast(), 220, 1.0, some),
+            [true, false, true, false, false, false, false, false]
+        );
+        assert_eq!(after(&mut fast(), 180, 0.7, [0.0; 8]), [false; 8], "nothing helps: nothing is given up");
     }
 
     #[test]
@@ -381,21 +406,21 @@ mod tests {
         };
         let mut relief = fast();
         relief.head(&head(0, 0.01));
-        assert_eq!(after(&mut relief, 100, 0.135, SAVES), [false; 7]);
+        assert_eq!(after(&mut relief, 100, 0.135, SAVES), [false; 8]);
         relief.head(&head(1, 1.0));
-        assert_ne!(after(&mut relief, 20, 0.135, SAVES), [false; 7]);
+        assert_ne!(after(&mut relief, 20, 0.135, SAVES), [false; 8]);
         [2, 3].iter().for_each(|at_s| relief.head(&head(*at_s, 0.0)));
-        assert_eq!(after(&mut relief, 200, 0.1, SAVES), [false; 7]);
+        assert_eq!(after(&mut relief, 200, 0.1, SAVES), [false; 8]);
     }
 
     #[test]
     fn a_measure_is_taken_back_after_two_late_updates() {
-        let saves = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.4];
+        let saves = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.4];
         let mut relief = Relief::new(1.0 / 30.0, Some(0.2));
         let mut without = 0;
         for _ in 0..40 {
             relief.note(took_s(&relief, 0.25, saves));
-            without += u32::from(!relief.measures().has(Measure::CoarsestDetail));
+            without += u32::from(!relief.measures().has(Measure::SixteenTimesTheError));
         }
         assert_eq!(without, LATE_UPDATES, "given up once, to see");
     }
@@ -404,7 +429,7 @@ mod tests {
     fn measures_end_when_there_is_room() {
         let mut relief = fast();
         after(&mut relief, 100, 1.0, SAVES);
-        assert_eq!(after(&mut relief, 800, 0.05, SAVES), [false; 7]);
+        assert_eq!(after(&mut relief, 800, 0.05, SAVES), [false; 8]);
     }
 
     #[test]

@@ -261,7 +261,7 @@ impl VisibilityStep {
         let mut recorder = world.gpu().record()?;
         let began = world.effort().begin();
         self.needs.set_lods(self.detail.finest());
-        let casters = if self.measures.has(Measure::CoarserDetail) { Casters::Coarse } else { Casters::Fine };
+        let casters = if self.measures.error() > 1.0 { Casters::Coarse } else { Casters::Fine };
         let sampled = world.animate(&mut recorder, self.viewer, views, (&self.needs, casters)); // 2
         world.effort_mut().add_animation(began);
         self.views.extent = self.ids_extent();
