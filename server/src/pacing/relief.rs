@@ -22,8 +22,10 @@ const SETTLE_SHADING_UPDATES: u32 = 6;
 const SETTLE_LODS_UPDATES: u32 = 16;
 /// Updates whose time is then compared.
 const MEASURED_UPDATES: u32 = 6;
-/// So many updates in a row that are late are judged at once: they take longer than this, and longer by a part than those before.
+/// So many updates in a row that are late are judged at once: they take longer than this, and longer by a part than those before. While
+/// LODs change some are late in any case: all blocks of an instance are new.
 const LATE_UPDATES: u32 = 2;
+const LATE_LODS_UPDATES: u32 = 4;
 const LATE_S: f64 = 1.0 / 6.0;
 const LATER_PART: f64 = 0.1;
 /// The last measure of unknown worth is given up once in so many updates, to see. First when first blocks have grown.
@@ -234,7 +236,8 @@ impl Relief {
         }
         self.late += 1;
         self.late_sum_s += took_s;
-        if self.late < LATE_UPDATES {
+        let lods_change = self.trial.is_some_and(|trial| Measure::ALL[trial.measure].error() > 1.0);
+        if self.late < if lods_change && self.settles > 0 { LATE_LODS_UPDATES } else { LATE_UPDATES } {
             return None;
         }
         self.settles = 0;
@@ -414,15 +417,21 @@ mod tests {
     }
 
     #[test]
-    fn a_measure_is_taken_back_after_two_late_updates() {
-        let saves = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.4];
-        let mut relief = Relief::new(1.0 / 30.0, Some(0.2));
-        let mut without = 0;
-        for _ in 0..40 {
-            relief.note(took_s(&relief, 0.25, saves));
-            without += u32::from(!relief.measures().has(Measure::SixteenTimesTheError));
-        }
-        assert_eq!(without, LATE_UPDATES, "given up once, to see");
+    fn a_measure_is_taken_back_after_two_late_updates_and_of_lods_after_four() {
+        let updates_without = |measure: Measure| {
+            let mut saves = [0.0; 8];
+            saves[measure as usize] = 0.4;
+            let mut relief = Relief::new(1.0 / 30.0, Some(0.2));
+            let mut has = [true; 200];
+            for has in &mut has {
+                relief.note(took_s(&relief, 0.25, saves));
+                *has = relief.measures().has(measure);
+            }
+            let given_up = has.iter().position(|has| !has).unwrap();
+            has[given_up..].iter().position(|has| *has).unwrap() as u32
+        };
+        assert_eq!(updates_without(Measure::FewerTexels), LATE_UPDATES, "given up once, to see");
+        assert_eq!(updates_without(Measure::SixteenTimesTheError), LATE_LODS_UPDATES);
     }
 
     #[test]

@@ -65,7 +65,6 @@ mod tests {
     use super::*;
     use crate::encode::Source;
     use crate::motion::delta::UpdateDelta;
-    use shadecast_gpu::Timings;
     use shadecast_protocol::ids::UpdateId;
     use shadecast_protocol::picture::I420;
     use shadecast_protocol::time::ServerTime;
@@ -104,8 +103,8 @@ mod tests {
         let picture = Source::Planes(I420::new([2, 2], vec![number; 6]).expect("a picture"));
         let (frame, time) = (UpdateId(number.into()), ServerTime(number.into()));
         let delta = UpdateDelta::default();
-        let (blocks, timings) = (Vec::new(), Timings::default());
-        Box::new(Shaded { update: frame, time, delta, picture, blocks, timings })
+        let (sharpness, blocks, timings) = Default::default();
+        Box::new(Shaded { update: frame, time, sharpness, delta, picture, blocks, timings })
     }
 
     #[test]

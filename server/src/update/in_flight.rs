@@ -6,8 +6,8 @@
 use crate::encode::Source;
 use crate::motion::delta::UpdateDelta;
 use crate::pacing::overlap::Flight;
-use crate::update::Shaded;
 use crate::update::visibility_step::Begun;
+use crate::update::{Shaded, Sharpness};
 use crate::visibility::predict::PredictedViews;
 use crate::world::{Sampled, World};
 use shadecast_gpu::{GpuError, Ticket, Timings};
@@ -24,6 +24,8 @@ pub(crate) struct Placed {
     pub views: PredictedViews,
     /// The samples of their times.
     pub sampled: Sampled,
+    /// How sharp it is.
+    pub sharpness: Sharpness,
     /// Changes to the client's memory.
     pub delta: UpdateDelta,
     /// Device time of its visibility passes.
@@ -98,9 +100,10 @@ impl InFlight {
     }
 
     /// What was placed is before the device.
-    pub(crate) fn shade(&mut self, Placed { update, time, delta, timings, .. }: Placed, ticket: Ticket) {
+    pub(crate) fn shade(&mut self, placed: Placed, ticket: Ticket) {
+        let Placed { update, time, sharpness, delta, timings, .. } = placed;
         let (picture, blocks) = (Source::default(), Vec::new());
-        let shaded = Shaded { update, time, delta, picture, blocks, timings };
+        let shaded = Shaded { update, time, sharpness, delta, picture, blocks, timings };
         self.in_work = Some(InWork { shaded, ticket });
     }
 

@@ -92,6 +92,15 @@ pub struct Shows {
     pub stored_texels: u64,
 }
 
+/// How sharp an update is.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Sharpness {
+    /// The largest error of an LOD on display, pixels of the nearest predicted eye.
+    pub lod_error_pixels: f32,
+    /// Texels that blocks are asked to have for a pixel of the display, before sides are rounded up.
+    pub texels_per_pixel: f32,
+}
+
 /// One update, shaded and ready to be encoded.
 #[derive(Clone, Debug)]
 pub struct Shaded {
@@ -99,6 +108,8 @@ pub struct Shaded {
     pub update: UpdateId,
     /// When it started.
     pub time: ServerTime,
+    /// How sharp it is.
+    pub sharpness: Sharpness,
     /// What changes in the client's memory.
     pub delta: UpdateDelta,
     /// The atlas; of no texels while an encoder has it.
@@ -194,7 +205,11 @@ impl ViewerUpdates {
         let PlacementInput { start: Start { update, time, views, timings, .. }, sampled, lods } = input;
         self.visibility.recycle(lods);
         self.numbers.placed(time);
-        self.in_flight.place(Placed { update, time, views, sampled, delta, timings });
+        let sharpness = Sharpness {
+            lod_error_pixels: self.visibility.detail().shown_error_pixels(),
+            texels_per_pixel: self.placement.texels_per_pixel(),
+        };
+        self.in_flight.place(Placed { update, time, views, sampled, sharpness, delta, timings });
         Ok(())
     }
 

@@ -44,8 +44,6 @@ pub(crate) struct PlacementStep {
     density: Density,
     spare: Spare,
     measures: Measures,
-    /// Texels seen of LODs that were switched to, as far as updates since have not made up for them.
-    switched_texels: u64,
     lists: Lists,
 }
 
@@ -66,8 +64,7 @@ struct Lists {
 const FEWER_TEXELS: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// On a slow device new blocks begin with this part of the texels for a pixel: else many that come at once take long.
 const NEW_PART: f32 = 0.35;
-/// On a slow device an update may change LODs for this part of what is seen, and for the instance that makes it so much. Where that
-/// one is larger, the next updates make up for it.
+/// On a slow device LODs change with an update for this part of what is seen, and for the instance that makes it so much.
 const SWITCHED_PART: u64 = 16;
 /// Part of what is seen that may be missing until the next update, before coarser LODs are shown.
 const MOST_MISSING: f64 = 0.003;
@@ -98,7 +95,6 @@ impl PlacementStep {
             density: Density::default(),
             spare: Spare::Enough,
             measures: Measures::default(),
-            switched_texels: 0,
             lists: Lists::default(),
         }
     }
@@ -171,7 +167,7 @@ impl PlacementStep {
         if aim == Aim::InView(1) && self.gives_way(world, lods, detail) {
             return Fit::LacksBytes;
         }
-        self.switch(world, aim == Aim::InView(1), (lods, detail));
+        self.switch(world, lods, detail);
         self.measure(lods, detail);
         if self.layout.has_room(world.samples(), lods, self.room) { Fit::Fits } else { Fit::LacksRoom }
     }
@@ -224,7 +220,7 @@ impl PlacementStep {
 
     /// Lets the client show the next LOD of those instances of which it has all that is seen, or gets it with this update. Of
     /// the others, the one that lacks least is brought ahead.
-    fn switch(&mut self, world: &World, is_first_look: bool, (lods, detail): (&mut LodSet, &mut Detail)) {
+    fn switch(&mut self, world: &World, lods: &mut LodSet, detail: &mut Detail) {
         let (geometry, layout) = (world.samples(), &self.layout);
         let Lists { next, shown, left, .. } = &mut self.lists;
         next.clear();
@@ -242,16 +238,17 @@ impl PlacementStep {
         let texels =
             |patches: &[ScenePatch]| patches.iter().map(|patch| layout.seen_texels(*patch)).sum::<u64>();
         // All blocks of another LOD are new: where that takes too long, a few instances at a time.
-        let seen_texels = shown.iter().map(|(_, patch)| layout.seen_texels(*patch)).sum::<u64>();
-        let most_texels = if self.measures.are_some() { 1 + seen_texels / SWITCHED_PART } else { u64::MAX };
-        if is_first_look {
-            self.switched_texels = self.switched_texels.saturating_sub(most_texels);
-        }
+        let most_texels = match self.measures.are_some() {
+            true => {
+                1 + shown.iter().map(|(_, patch)| layout.seen_texels(*patch)).sum::<u64>() / SWITCHED_PART
+            }
+            false => u64::MAX,
+        };
+        let mut switched_texels = 0;
         for lod in next.iter() {
             let seen = layout.seen_of(lod);
-            let may_switch = self.switched_texels < most_texels;
-            if may_switch && self.residency.reserve(geometry, seen.iter().copied(), left) {
-                self.switched_texels += texels(seen);
+            if switched_texels < most_texels && self.residency.reserve(geometry, seen.iter().copied(), left) {
+                switched_texels += texels(seen);
                 lods.switch(lod.instance);
                 detail.switched(lod.instance);
                 continue;

@@ -353,6 +353,15 @@ impl Detail {
         self.asked_pixels > 0.0
     }
 
+    /// The largest error of what is on display, pixels of the nearest eye.
+    pub(crate) fn shown_error_pixels(&self) -> f32 {
+        let on_display = self.states.iter().zip(&self.costs).filter(|(state, _)| state.is_on_display());
+        let error = |(state, costs): (&State, &Vec<LodCost>)| {
+            Some(costs[state.shown?].error_m * state.pixels_per_metre)
+        };
+        on_display.filter_map(error).fold(0.0, f32::max)
+    }
+
     /// Pixels of error that are allowed now.
     pub(crate) fn allowed_pixels(&self) -> f32 {
         self.allowed(self.steps()).pixels

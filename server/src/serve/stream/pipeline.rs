@@ -492,6 +492,7 @@ impl<'a, S: Studio> Pipeline<'a, S> {
         client.stats.busy_s += cost.took_ns as f64 * 1e-9;
         client.viewer.note_update(cost.shared_s(), cost.apart_s());
         self.of_pipeline.ended("update", self.epoch_ns + shaded.time.0, Some(shaded.update));
+        self.of_pipeline.sharpness(shaded.sharpness);
         self.of_device.ended(&shaded.timings, shaded.update);
         self.stats.add_gpu(&shaded.timings);
         client.made = Some(shaded);

@@ -1,6 +1,7 @@
 //! What the server does, told to a trace where one is asked for.
 
 use crate::serve::cause_bits::CauseBits;
+use crate::update::Sharpness;
 use shadecast_gpu::Timings;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::session::Out;
@@ -76,6 +77,19 @@ impl Row {
         if let Some(track) = &self.track {
             let named = bits.named().map(|(name, bits)| (name, bits as f64));
             track.counters("bits by cause", self.at(monotonic_now_ns()), &named);
+        }
+    }
+
+    /// How sharp the update is that has just been made.
+    pub(super) fn sharpness(&self, sharpness: Sharpness) {
+        if let Some(track) = &self.track {
+            let Sharpness { lod_error_pixels, texels_per_pixel } = sharpness;
+            let named = [("lod error pixels", lod_error_pixels), ("texels per pixel", texels_per_pixel)];
+            track.counters(
+                "sharpness",
+                self.at(monotonic_now_ns()),
+                &named.map(|(name, of)| (name, of.into())),
+            );
         }
     }
 

@@ -1,5 +1,5 @@
 //! `shadecast-lab live`: the server and the client that ship, as two processes on this machine in real time. How soon the first picture
-//! comes; updates, frames and holes of each second after it.
+//! comes; updates, frames, sharpness and holes of each second after it.
 //!
 //! A scene enters, and a display. A table leaves. Two sessions are run: one without probes, for times and rates; one with probes, for holes.
 
@@ -24,6 +24,8 @@ use std::time::{Duration, Instant};
 const START_S: f64 = 60.0;
 /// Display frames between two that are probed.
 const PROBE_EVERY: u32 = 8;
+/// Seconds after the first picture from which it is to be as sharp as it gets.
+const SHARP_AFTER_S: usize = 20;
 /// Probes of a second that are compared.
 const LOOKS_PER_S: usize = 2;
 
@@ -61,6 +63,12 @@ pub struct Live {
     pub mean_updates: f64,
     /// Fewest frames in a second.
     pub least_frames: u32,
+    /// Largest error of an LOD from 20 s after the first picture on, pixels.
+    #[serde(default)]
+    pub settled_lod_error_pixels: Option<f64>,
+    /// Fewest texels for a pixel from then on.
+    #[serde(default)]
+    pub settled_texels_per_pixel: Option<f64>,
     /// Largest part of the geometry that was missing in a frame, 0..1.
     pub worst_holes: f64,
     /// The same of the first picture that was looked at.
@@ -78,6 +86,12 @@ pub struct Second {
     pub updates: u32,
     /// Display frames with a picture.
     pub frames: u32,
+    /// Largest error of an LOD in the updates that were made, pixels.
+    #[serde(default)]
+    pub lod_error_pixels: Option<f64>,
+    /// Fewest texels that blocks were asked to have for a pixel.
+    #[serde(default)]
+    pub texels_per_pixel: Option<f64>,
     /// Largest part of the geometry that was missing, 0..1; null where no frame of this second was looked at.
     pub holes: Option<f64>,
     /// The same of what is animated.
@@ -95,12 +109,32 @@ impl fmt::Display for Live {
             self.after_client_start_s,
             100.0 * self.first_holes
         )?;
-        writeln!(f, "{:>6} {:>8} {:>7} {:>9} {:>9}", "second", "updates", "frames", "holes", "animated")?;
-        let percent =
-            |part: Option<f64>| part.map_or("-".to_owned(), |part| format!("{:.2} %", 100.0 * part));
+        let heads = ["second", "updates", "frames", "LOD error", "texels", "holes", "animated"];
+        writeln!(f, "{}", heads.map(|head| format!("{head:>10}")).concat())?;
+        let number = |value: Option<f64>, unit: &str| {
+            value.map_or("-".to_owned(), |value| format!("{value:.2}{unit}"))
+        };
         for (second, row) in self.rows.iter().enumerate() {
-            let [holes, animated] = [row.holes, row.animated_holes].map(percent);
-            writeln!(f, "{second:>6} {:>8} {:>7} {holes:>9} {animated:>9}", row.updates, row.frames)?;
+            let Second { updates, frames, .. } = row;
+            let [holes, animated] = [row.holes, row.animated_holes].map(|part| part.map(|part| 100.0 * part));
+            let cells = [
+                second.to_string(),
+                updates.to_string(),
+                frames.to_string(),
+                number(row.lod_error_pixels, " px"),
+                number(row.texels_per_pixel, ""),
+                number(holes, " %"),
+                number(animated, " %"),
+            ];
+            writeln!(f, "{}", cells.map(|cell| format!("{cell:>10}")).concat())?;
+        }
+        if let (Some(error_pixels), Some(texels)) =
+            (self.settled_lod_error_pixels, self.settled_texels_per_pixel)
+        {
+            writeln!(
+                f,
+                "from {SHARP_AFTER_S} s on LODs err by {error_pixels:.2} pixels at most, with {texels:.2} texels a pixel at least"
+            )?;
         }
         writeln!(
             f,
@@ -131,7 +165,10 @@ pub fn measure(options: &LiveOptions) -> anyhow::Result<Live> {
     let looked = look(&gpu, options, &looks, &mut rows)?;
     let mean = |of: &dyn Fn(&Look) -> f64| looked.iter().map(of).sum::<f64>() / looked.len().max(1) as f64;
     let first = looked.first().context("no frame with a picture was probed; give it more --seconds")?;
+    let settled = rows.get(SHARP_AFTER_S..).unwrap_or_default();
     Ok(Live {
+        settled_lod_error_pixels: settled.iter().filter_map(|row| row.lod_error_pixels).reduce(f64::max),
+        settled_texels_per_pixel: settled.iter().filter_map(|row| row.texels_per_pixel).reduce(f64::min),
         scene: options.scene.to_string(),
         device: gpu.device_name().to_owned(),
         extent_pixels: first.extent_pixels,
@@ -235,6 +272,13 @@ impl Session {
         };
         count(&shown_s, |row| row.updates += 1);
         count(&self.times_s(1, "frame"), |row| row.frames += 1);
+        for event in self.events[0].iter().filter(|event| event["name"] == "sharpness") {
+            let at_s = event["ts"].as_f64().unwrap_or(0.0) * 1e-6 - first_s;
+            let Some(row) = rows.get_mut(at_s as usize).filter(|_| at_s >= 0.0) else { continue };
+            let of = |name: &str| event["args"][name].as_f64();
+            row.lod_error_pixels = merged(row.lod_error_pixels, of("lod error pixels"), f64::max);
+            row.texels_per_pixel = merged(row.texels_per_pixel, of("texels per pixel"), f64::min);
+        }
         Ok((first_s, rows))
     }
 }
@@ -270,15 +314,15 @@ fn look(
             none => none.insert(Comparer::new(gpu, &scene, extent_pixels)?),
         };
         let [all, animated] = comparer.missing(world_from_eye, fov, time, &left.view)?;
-        row.holes = worse(row.holes, all.strict);
-        row.animated_holes = worse(row.animated_holes, animated.strict);
+        row.holes = merged(row.holes, Some(all.strict), f64::max);
+        row.animated_holes = merged(row.animated_holes, Some(animated.strict), f64::max);
         looks.push(Look { extent_pixels, holes: all.strict, animated_holes: animated.strict });
     }
     Ok(looks)
 }
 
-fn worse(known: Option<f64>, holes: f64) -> Option<f64> {
-    Some(known.map_or(holes, |known| known.max(holes)))
+fn merged(known: Option<f64>, new: Option<f64>, pick: fn(f64, f64) -> f64) -> Option<f64> {
+    [known, new].into_iter().flatten().reduce(pick)
 }
 
 fn read_json<T: serde::de::DeserializeOwned>(path: &Path) -> anyhow::Result<T> {

@@ -2,7 +2,6 @@
 //! decided and when, are played through the pipeline on a simulated device.
 
 use super::*;
-use crate::encode::Source;
 use crate::motion::delta::UpdateDelta;
 use crate::motion::sender::SharedMotion;
 use crate::pacing::density::Spare;
@@ -176,8 +175,9 @@ impl Studio for SimulatedStudio {
         let geometry = GeometryDelta { update, time: WorldTime(time.0), ..GeometryDelta::default() };
         let delta = UpdateDelta { geometry, ..UpdateDelta::default() };
         let timing = Timing { scope: "shading", began_ns: 0, took_ns: bench.device.update_ns() };
-        let (picture, timings) = (Source::default(), Timings::from_iter([timing]));
-        Ok(Some(Shaded { update, time, delta, picture, blocks: Vec::new(), timings }))
+        let timings = Timings::from_iter([timing]);
+        let (sharpness, picture, blocks) = Default::default();
+        Ok(Some(Shaded { update, time, sharpness, delta, picture, blocks, timings }))
     }
 
     fn rest(&self, _: &SimulatedUpdates, at_most: Duration) -> Result<bool, GpuError> {

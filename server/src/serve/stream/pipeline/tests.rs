@@ -228,8 +228,9 @@ impl Studio for FakeStudio {
         let delta = GeometryDelta { update, time: WorldTime(time.0), ..GeometryDelta::default() };
         let delta = UpdateDelta { geometry: delta, ..UpdateDelta::default() };
         let timing = Timing { scope: "shading", began_ns: 0, took_ns: self.0.device_ns.get() };
-        let (picture, timings) = (Source::default(), Timings::from_iter([timing]));
-        Ok(Some(Shaded { update, time, delta, picture, blocks: Vec::new(), timings }))
+        let timings = Timings::from_iter([timing]);
+        let (sharpness, picture, blocks) = Default::default();
+        Ok(Some(Shaded { update, time, sharpness, delta, picture, blocks, timings }))
     }
 
     fn rest(&self, _: &FakeUpdates, _: Duration) -> Result<bool, GpuError> {
