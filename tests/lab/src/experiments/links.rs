@@ -1,21 +1,25 @@
 //! `shadecast-lab links`: links that are bad in one way each, in virtual time. What is queued before the bottleneck, how old pictures are,
-//! and how long the longest pause is, held against bars.
+//! and how long the longest pause is, held against bars. Where packets are lost, how far pictures are from the truth too.
 //!
-//! A run's options enter; their link is replaced. A table leaves. Nothing here knows pictures' quality.
+//! A run's options enter; their link is replaced. A table leaves.
 
-use super::run::mock_config;
+use super::run::{compare, into_probe, mock_config};
+use crate::measure::compare::Comparer;
 use crate::measure::percentiles::median;
+use crate::report::stats::Summary;
 use crate::session::options::RunOptions;
 use crate::session::{Lab, START_NS};
-use anyhow::Result;
+use anyhow::{Context, Result};
 use serde::{Deserialize, Serialize};
 use shadecast_client::client::Step;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
+use shadecast_mock_runtime::record::read_frames;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_transport::neighbour::{Neighbour, Traffic};
 use shadecast_transport::{LinkProfile, LinkSchedule};
 use std::fmt;
 use std::net::SocketAddr;
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// After a change of the link, figures count from then on, seconds.
@@ -60,6 +64,8 @@ const RATE_BAR: f64 = 0.8;
 /// Pauses on a link that loses packets, and after an outage: these and a round trip, milliseconds.
 const LOSS_PAUSE_BAR_MS: f64 = 250.0;
 const OUTAGE_PAUSE_BAR_MS: f64 = 300.0;
+/// FLIP on a link that loses packets, as a factor on that of the same link without losses.
+const LOSS_FLIP_BAR: f64 = 1.15;
 /// Picture gap after a change of address, and after a server's restart, milliseconds.
 const ADDRESS_PAUSE_BAR_MS: f64 = 300.0;
 const RESTART_PAUSE_BAR_MS: f64 = 1000.0;
@@ -76,6 +82,8 @@ struct RowBars {
     rate_of: Option<(f64, String)>,
     /// At least this part of the pictures a second of another row.
     pictures_of: Option<(f64, String)>,
+    /// At most so many times the FLIP of another row.
+    flip_of: Option<(f64, String)>,
     /// No pictures that need no other.
     no_refresh: bool,
     /// Both take this part at least of an equal share, or of what the other row says that it takes alone.
@@ -106,6 +114,10 @@ impl RowBars {
             let is_missed = row.delivered_mbit_s < bar;
             is_missed.then(|| format!("{:.1} Mbit/s, bar {bar:.1} Mbit/s", row.delivered_mbit_s))
         });
+        let unlike = self.flip_of.iter().filter_map(|(factor, name)| {
+            let (flip, bar) = (row.flip?, factor * other(name)?.flip?);
+            (flip > bar).then(|| format!("FLIP {flip:.4}, bar {bar:.4}"))
+        });
         let refreshed =
             (self.no_refresh && row.refreshes > 0).then(|| format!("{} refreshes", row.refreshes));
         let unfair = self.share_of.iter().filter_map(|(part, alone)| {
@@ -115,7 +127,7 @@ impl RowBars {
             let is_missed = own_share.min(rival_share) < *part;
             is_missed.then(|| format!("{own_share:.2} and {rival_share:.2} of their share, bar {part}"))
         });
-        over.chain(slow).chain(rare).chain(refreshed).chain(unfair).collect()
+        over.chain(slow).chain(rare).chain(unlike).chain(refreshed).chain(unfair).collect()
     }
 }
 
@@ -161,6 +173,9 @@ pub struct LinkRow {
     /// Pictures that need no other, which the server sent.
     #[serde(default)]
     pub refreshes: u64,
+    /// Distance of pictures from the truth, 0..1, the worse of both eyes: the mean over the frames that were compared.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub flip: Option<f64>,
     /// The bars that it misses.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub misses: Vec<String>,
@@ -178,6 +193,7 @@ struct Look {
     others_bytes: u64,
     dropped: u64,
     refreshes: u64,
+    flip: Option<f64>,
 }
 
 /// A part of a run: since when, seconds, what it is called, and what it must reach.
@@ -202,6 +218,8 @@ struct Case {
     happens: Option<Happens>,
     /// Who takes it too, from [`NEIGHBOUR_AT_S`] on.
     neighbour: Option<Traffic>,
+    /// Whether pictures are compared with the truth.
+    compares: bool,
     seconds: f64,
 }
 
@@ -216,7 +234,8 @@ enum Happens {
 
 impl Case {
     fn new(name: &str, schedule: LinkSchedule, parts: Vec<Part>, seconds: f64) -> Self {
-        Self { name: name.to_owned(), schedule, parts, happens: None, neighbour: None, seconds }
+        let (happens, neighbour, compares) = (None, None, false);
+        Self { name: name.to_owned(), schedule, parts, happens, neighbour, compares, seconds }
     }
 
     /// A usual link that carries nothing for `outage_s`, if that is more than 0. The pause after it, or after what happens instead, may
@@ -320,11 +339,14 @@ fn cases(seconds: f64) -> Result<Vec<Case>> {
     cases.extend(lans(seconds)?);
     for latency in LATENCIES_MS {
         for loss in LOSSES {
-            let name = format!("{latency} ms, {:.0} % lost", loss * 100.0);
+            let name_of = |loss: f64| format!("{latency} ms, {:.0} % lost", loss * 100.0);
+            let name = name_of(loss);
             let link = LinkProfile { loss, ..queued(&format!("latency={latency}ms,rate=100mbit"))? };
             let pause_ms = LOSS_PAUSE_BAR_MS + 2.0 * latency as f64;
-            let bars = RowBars { pause_ms: Some(pause_ms), ..RowBars::default() };
-            cases.push(Case::new(&name, link.into(), vec![Part::new(0.0, &*name, bars)], seconds));
+            let flip_of = (loss > 0.0).then(|| (LOSS_FLIP_BAR, name_of(0.0)));
+            let bars = RowBars { pause_ms: Some(pause_ms), flip_of, ..RowBars::default() };
+            let case = Case::new(&name, link.into(), vec![Part::new(0.0, &*name, bars)], seconds);
+            cases.push(Case { compares: true, ..case });
         }
     }
     for outage_s in OUTAGES_S {
@@ -353,7 +375,7 @@ pub fn measure(options: &RunOptions, scene: &str, is_wanted: impl Fn(&str) -> bo
     for case in cases(options.seconds)?.into_iter().filter(|case| is_wanted(&case.name)) {
         let (link, seconds) = (case.schedule.clone(), case.seconds);
         let options = RunOptions { link, seconds, reconnects: true, ..options.clone() };
-        let looks = looks(&options, case.happens, case.neighbour)?;
+        let looks = looks(&options, &case)?;
         for (number, Part { from_s, name, bars }) in case.parts.iter().enumerate() {
             let to_s = case.parts.get(number + 1).map_or(seconds, |next| next.from_s);
             let mut row = row(name, [*from_s, to_s], &looks);
@@ -366,19 +388,21 @@ pub fn measure(options: &RunOptions, scene: &str, is_wanted: impl Fn(&str) -> bo
 }
 
 /// Runs `options`, and looks at each display frame. The updates of a server that was restarted have no ages.
-fn looks(
-    options: &RunOptions,
-    mut happens: Option<Happens>,
-    neighbour: Option<Traffic>,
-) -> Result<Vec<Look>> {
+fn looks(options: &RunOptions, &Case { mut happens, neighbour, compares, .. }: &Case) -> Result<Vec<Look>> {
     let is_restarted = matches!(happens, Some(Happens::Restart));
-    let config = MockConfig { capture_dir: None, ..mock_config(options, ClockKind::Virtual, 0)? };
+    let config = mock_config(options, ClockKind::Virtual, options.compare_every)?;
+    let config = if compares { config } else { MockConfig { capture_dir: None, capture_every: 0, ..config } };
+    for capture in config.capture_dir.iter().filter(|capture| capture.exists()) {
+        std::fs::remove_dir_all(capture).with_context(|| format!("clearing {}", capture.display()))?;
+    }
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(options, &config) }?;
+    let mut pictures = config.capture_dir.map(|capture| Pictures::new(&lab, options, capture)).transpose()?;
     if let Some(traffic) = neighbour {
         lab.add_neighbour(Neighbour::new(traffic, link_ns(NEIGHBOUR_AT_S), options.seed + 1)?);
     }
     let mut shown: Vec<(Look, i64, Option<UpdateId>)> = Vec::new();
+    let is_captured = |frame: usize| frame.is_multiple_of(options.compare_every as usize);
     while let Step::Frame(frame) = lab.step()? {
         let is_due = (frame.display_time.0 - START_NS) as f64 * 1e-9 >= OUTAGE_AT_S;
         match happens.take_if(|_| is_due) {
@@ -387,6 +411,12 @@ fn looks(
             Some(Happens::Restart) => lab.restart_server(options.seed)?,
         }
         let counts = lab.link_counts();
+        let flip = match &mut pictures {
+            Some(pictures) if is_captured(shown.len()) && frame.update.is_some() => {
+                pictures.flip(&mut lab)?
+            }
+            _ => None,
+        };
         let look = Look {
             at_s: (frame.display_time.0 - START_NS) as f64 * 1e-9,
             is_new: frame.is_new,
@@ -396,6 +426,7 @@ fn looks(
             delivered_bytes: counts.delivered_bytes.saturating_sub(lab.neighbours_bytes()),
             dropped: counts.dropped,
             refreshes: lab.refreshes(),
+            flip,
         };
         shown.push((look, frame.display_time.0, frame.update.filter(|_| !is_restarted)));
     }
@@ -405,6 +436,34 @@ fn looks(
         Look { age_ms: begun_ns.map(|begun_ns| (display_ns - begun_ns) as f64 * 1e-6), ..look }
     };
     Ok(shown.into_iter().map(aged).collect())
+}
+
+/// Pictures of a run beside the truth.
+struct Pictures {
+    capture: PathBuf,
+    comparer: Comparer,
+}
+
+impl Pictures {
+    /// Of a run that is captured into a folder.
+    fn new(lab: &Lab, options: &RunOptions, capture: PathBuf) -> Result<Self> {
+        let comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
+        Ok(Self { capture, comparer })
+    }
+
+    /// How far the frame just shown is from the truth, the worse of both eyes; `None` where it was not captured.
+    fn flip(&mut self, lab: &mut Lab) -> Result<Option<f64>> {
+        let records = read_frames(&self.capture).context("reading the runtime's frame log")?;
+        let Some(record) = records.last().filter(|record| record.captured) else { return Ok(None) };
+        let probes = lab.client.presenter.probe()?.map(into_probe);
+        let world_from_stage = lab.server.scene.scene.world_from_stage;
+        let time = lab.server.world_time(record.predicted_display_time_ns);
+        let mut eyes = Summary::default();
+        let (comparer, capture) = (&mut self.comparer, &self.capture);
+        compare(comparer, &mut eyes, record, capture, world_from_stage, time, Some(&probes))?;
+        let flips = eyes.last_two().iter().filter_map(|eye| eye.picture);
+        Ok(flips.map(|picture| picture.flip).reduce(f64::max))
+    }
 }
 
 fn row(name: &str, [from_s, to_s]: [f64; 2], looks: &[Look]) -> LinkRow {
@@ -422,6 +481,7 @@ fn row(name: &str, [from_s, to_s]: [f64; 2], looks: &[Look]) -> LinkRow {
         let (first, last) = (settled().next().map_or(0, count), settled().next_back().map_or(0, count));
         last.saturating_sub(first)
     };
+    let flips: Vec<f64> = settled().filter_map(|look| look.flip).collect();
     let settled_length_s = (to_s - settled_s).max(1e-3);
     let mbit_s = |bytes: u64| bytes as f64 * 8e-6 / settled_length_s;
     let (own_mbit_s, others_mbit_s) =
@@ -440,6 +500,7 @@ fn row(name: &str, [from_s, to_s]: [f64; 2], looks: &[Look]) -> LinkRow {
         others_mbit_s: (others_mbit_s > 0.0).then_some(others_mbit_s),
         dropped: counted(|look| look.dropped),
         refreshes: counted(|look| look.refreshes),
+        flip: (!flips.is_empty()).then(|| flips.iter().sum::<f64>() / flips.len() as f64),
         misses: Vec::new(),
     }
 }
@@ -477,6 +538,9 @@ impl fmt::Display for LinkRow {
         if let Some(others) = self.others_mbit_s {
             write!(f, ", others {others:.1} Mbit/s")?;
         }
+        if let Some(flip) = self.flip {
+            write!(f, ", FLIP {flip:.4}")?;
+        }
         if self.refreshes > 0 {
             write!(f, ", {} refreshes", self.refreshes)?;
         }
@@ -498,6 +562,7 @@ mod tests {
             others_bytes: (at_s * 3e6) as u64,
             dropped: 0,
             refreshes: 0,
+            flip: Some(0.02),
         }
     }
 
@@ -528,6 +593,9 @@ mod tests {
         let share = |part: f64| RowBars { share_of: Some((part, "alone".to_owned())), ..RowBars::default() };
         // 8 Mbit/s of 32 are all that it takes alone.
         assert_eq!([misses(share(1.1)), misses(share(0.9))], [1, 0]);
+        let flip =
+            |factor: f64| RowBars { flip_of: Some((factor, "alone".to_owned())), ..RowBars::default() };
+        assert_eq!([misses(flip(0.9)), misses(flip(1.1))], [1, 0]);
         let unknown = RowBars { rate_of: Some((9.0, "not measured".to_owned())), ..RowBars::default() };
         assert_eq!(misses(unknown), 0);
         let refreshed = LinkRow { refreshes: 2, ..shared.clone() };

@@ -58,9 +58,13 @@ const LINK_SECONDS: f64 = 60.0;
 type IsWanted = fn(&str) -> bool;
 
 /// Jobs of the other links: which of them each measures.
-const LINKS: [(&str, IsWanted); 3] = [
-    ("links-lan", |name| name.starts_with("LAN") || name.starts_with("5 ms")),
-    ("links-loss", |name| name.ends_with("lost") && !name.starts_with("5 ms")),
+const LINKS: [(&str, IsWanted); 7] = [
+    ("links-lan", |name| name.starts_with("LAN")),
+    ("links-loss-5ms", |name| name.starts_with("5 ms")),
+    ("links-loss-20ms", |name| name.starts_with("20 ms")),
+    ("links-loss-50ms", |name| name.starts_with("50 ms")),
+    ("links-loss-110ms", |name| name.starts_with("110 ms")),
+    ("links-loss-200ms", |name| name.starts_with("200 ms")),
     ("links-events", |name| !name.starts_with("LAN") && !name.ends_with("lost") && name != "steps"),
 ];
 /// Seconds that each attack lasts.
@@ -366,6 +370,7 @@ fn bad_links(
     let options = RunOptions {
         extent_pixels: [128, 128],
         seconds,
+        compare_every: COMPARE_EVERY,
         atlas_extent_texels: atlas,
         ..RunOptions::new(SceneSource::Dragons(dragons), folder.join("run"))
     };
