@@ -3,7 +3,7 @@
 //!
 //! A run's options enter; their link is replaced. A table leaves.
 
-use super::run::{compare, into_probe, mock_config};
+use super::run::{self, clear, compare, into_probe, mock_config};
 use crate::measure::compare::Comparer;
 use crate::measure::percentiles::median;
 use crate::report::stats::Summary;
@@ -392,9 +392,7 @@ fn looks(options: &RunOptions, &Case { mut happens, neighbour, compares, .. }: &
     let is_restarted = matches!(happens, Some(Happens::Restart));
     let config = mock_config(options, ClockKind::Virtual, options.compare_every)?;
     let config = if compares { config } else { MockConfig { capture_dir: None, capture_every: 0, ..config } };
-    for capture in config.capture_dir.iter().filter(|capture| capture.exists()) {
-        std::fs::remove_dir_all(capture).with_context(|| format!("clearing {}", capture.display()))?;
-    }
+    config.capture_dir.iter().try_for_each(|capture| clear(capture))?;
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(options, &config) }?;
     let mut pictures = config.capture_dir.map(|capture| Pictures::new(&lab, options, capture)).transpose()?;
@@ -461,8 +459,7 @@ impl Pictures {
         let mut eyes = Summary::default();
         let (comparer, capture) = (&mut self.comparer, &self.capture);
         compare(comparer, &mut eyes, record, capture, world_from_stage, time, Some(&probes))?;
-        let flips = eyes.last_two().iter().filter_map(|eye| eye.picture);
-        Ok(flips.map(|picture| picture.flip).reduce(f64::max))
+        Ok(run::Look::of(record.frame, eyes.last_two()).flip)
     }
 }
 

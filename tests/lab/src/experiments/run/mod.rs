@@ -61,7 +61,8 @@ pub struct Look {
 }
 
 impl Look {
-    fn of(frame: u64, eyes: &[FrameMetrics]) -> Self {
+    /// Of the frame's eyes, as they were measured.
+    pub(super) fn of(frame: u64, eyes: &[FrameMetrics]) -> Self {
         let most = |of: fn(&FrameMetrics) -> Option<f64>| eyes.iter().filter_map(of).reduce(f64::max);
         Self {
             frame,
@@ -133,9 +134,7 @@ fn head_path_csv(path: &HeadPath, seconds: f64, refresh_hz: f64) -> String {
 pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     let capture_every = if options.dump_every > 0 { options.dump_every } else { options.compare_every };
     let capture = options.out.join("capture");
-    if capture.exists() {
-        std::fs::remove_dir_all(&capture).with_context(|| format!("clearing {}", capture.display()))?;
-    }
+    clear(&capture)?;
     let config = mock_config(options, ClockKind::Virtual, capture_every)?;
     if options.renderer == Renderer::Forward {
         return forward::run(options, &config);
@@ -181,6 +180,14 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     }
     bar.finish_and_clear();
     run.finish(&lab)
+}
+
+/// Takes away the pictures of a run before.
+pub(super) fn clear(capture: &Path) -> anyhow::Result<()> {
+    if capture.exists() {
+        std::fs::remove_dir_all(capture).with_context(|| format!("clearing {}", capture.display()))?;
+    }
+    Ok(())
 }
 
 /// A bar that is only seen where it is asked for.
