@@ -262,11 +262,12 @@ impl VisibilityStep {
         let began = world.effort().begin();
         self.needs.set_lods(self.detail.finest());
         let casters = if self.measures.error() > 1.0 { Casters::Coarse } else { Casters::Fine };
-        let sampled = world.animate(&mut recorder, self.viewer, views, (&self.needs, casters)); // 2
+        self.pass_times = self.times_of_passes(world, &start);
+        let times = (views.times, self.pass_times);
+        let sampled = world.animate(&mut recorder, self.viewer, times, (&self.needs, casters)); // 2
         world.effort_mut().add_animation(began);
         self.views.extent = self.ids_extent();
         self.turned_frusta = self.views.write(views, start.update, start.texels_per_pixel);
-        self.pass_times = self.times_of_passes(world, &start);
         let pass = self.submit_view_pass(recorder, world, (&sampled, views))?; // 3
         Ok(Begun { start, glance, sampled, aim: Aim::InView(1), pass })
     }

@@ -14,7 +14,6 @@ use crate::time::VIEW_TIMES;
 use crate::time::view_time::ViewTime;
 use crate::visibility::clusters::Clusters;
 use crate::visibility::culling::Needed;
-use crate::visibility::predict::PredictedViews;
 use crate::world::effort::Effort;
 use crate::world::moment::{SceneSurfaces, Stance, stance};
 use crate::world::samples::SampleWindow;
@@ -212,13 +211,13 @@ impl World {
         self.unite();
     }
 
-    /// Records the samples that an update for `views` lacks, of the instances that `viewer` needs with casters so fine, and those that
-    /// others do.
+    /// Records the samples that an update lacks which looks at some of its times, of the instances that `viewer` needs with casters so
+    /// fine, and those that others do.
     pub(crate) fn animate(
         &mut self,
         recorder: &mut Recorder,
         viewer: ViewerId,
-        views: &PredictedViews,
+        times: ([ViewTime; VIEW_TIMES], [bool; VIEW_TIMES]),
         (needs, casters): (&Needed, Casters),
     ) -> Sampled {
         let instances = self.scene.numbering.instances.len();
@@ -226,7 +225,7 @@ impl World {
         of_viewer.copy(needs);
         of_viewer.refine(self.shadow.lods(casters));
         self.unite();
-        let places = self.samples.record(recorder, &mut self.animation, self.grid, views, &self.needed);
+        let places = self.samples.record(recorder, &mut self.animation, self.grid, times, &self.needed);
         Sampled { places }
     }
 

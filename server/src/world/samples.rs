@@ -9,10 +9,9 @@ use crate::skinning::gpu::{Animation, SampleJob};
 use crate::skinning::posing::CpuPose;
 use crate::time::RingPlace;
 use crate::time::VIEW_TIMES;
-use crate::time::view_time::HeldTimes;
+use crate::time::view_time::{HeldTimes, ViewTime};
 use crate::visibility::clusters::Clusters;
 use crate::visibility::culling::Needed;
-use crate::visibility::predict::PredictedViews;
 use glam::Vec3;
 use shadecast_gpu::Recorder;
 use shadecast_protocol::ids::MeshId;
@@ -57,20 +56,23 @@ impl SampleWindow {
         clusters
     }
 
-    /// Records the samples at the times of `views` that the instances in `needed` lack; gives where those of each time are.
+    /// Records the samples that the instances in `needed` lack, at the middle of `times` and at those that `looks` names. Gives where
+    /// those of each time are; a time without any has the middle's.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
         animation: &mut Animation,
         grid: Grid,
-        views: &PredictedViews,
+        (times, looks): ([ViewTime; VIEW_TIMES], [bool; VIEW_TIMES]),
         needed: &Needed,
     ) -> [RingPlace; VIEW_TIMES] {
-        let [first, middle, last] = views.times;
+        let times: [_; VIEW_TIMES] =
+            std::array::from_fn(|time| times[if looks[time] { time } else { VIEW_TIMES / 2 }]);
+        let [first, middle, last] = times;
         // The update is shaded for its middle while the next one looks already.
         let places = self.times.take([first, last, middle]);
         let places = [places[0], places[2], places[1]];
-        self.list_jobs(animation, places, views.times.map(|at| at.time(grid)), needed);
+        self.list_jobs(animation, places, times.map(|at| at.time(grid)), needed);
         let statics = SampleJob { instance: 0, lod: FULL_DETAIL, place: places[0], time: first.time(grid) };
         animation.record(recorder, &self.jobs, statics);
         places

@@ -11,7 +11,6 @@ use shadecast_protocol::motion::clip::{chunk_at, chunk_count};
 use shadecast_protocol::motion::message::{MotionMessage, MotionNews};
 use shadecast_protocol::motion::playback::Schedule;
 use shadecast_protocol::motion::skeleton::ClipRef;
-use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::session::Out;
 use shadecast_protocol::time::{DEFAULT_GRID, GridIndex, ServerTime, WorldTime};
 use shadecast_protocol::wire::{StreamMessage, parse_stream};
@@ -35,7 +34,6 @@ use shadecast_server::scene::{SceneGpu, SceneOptions};
 use shadecast_server::skinning::gpu::{Animation, AnimationCounts, SampleJob};
 use shadecast_server::time::RingPlace;
 use shadecast_server::visibility::culling::Needed;
-use shadecast_server::visibility::predict::{PredictedViews, View};
 use shadecast_server::world::samples::SampleWindow;
 use std::collections::HashMap;
 use std::ops::Range;
@@ -476,18 +474,6 @@ fn instances_in_the_same_pose_share_a_palette() {
     assert_no_messages(&gpu);
 }
 
-/// Views that nobody looks through: only the times count here.
-fn views(first: i32, horizon: i32) -> PredictedViews {
-    let view = View { world_from_eye: Pose::IDENTITY, fov: Fov::symmetric_degrees(90.0) };
-    PredictedViews {
-        begun: WorldTime(0),
-        times: [first + 1, first + 2, horizon - 2].map(|g| GridIndex(g).into()),
-        eyes: [[view; 2]; 3],
-        world_from_head: Pose::IDENTITY,
-        margin: 0.0,
-    }
-}
-
 #[test]
 fn samples_are_computed_once_and_only_for_what_is_needed() {
     let gpu = gpu();
@@ -497,19 +483,22 @@ fn samples_are_computed_once_and_only_for_what_is_needed() {
     let scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("the scene fits"));
     let mut animation = Animation::new(&gpu, &scene, MOST_PLACES).unwrap();
     let mut window = SampleWindow::new(&scene, &animation);
-    let mut computed = |first: i32, needed: [bool; 2]| {
+    let mut computed_at = |first: i32, looks: [bool; 3], needed: [bool; 2]| {
         let before = animation.counts().instance_samples;
+        let times = [first + 1, first + 2, first + 4].map(|at| GridIndex(at).into());
+        let needed = Needed::from_iter(needed);
         let mut recorder = gpu.record().unwrap();
-        window.record(
-            &mut recorder,
-            &mut animation,
-            DEFAULT_GRID,
-            &views(first, first + 6),
-            &Needed::from_iter(needed),
-        );
+        let places = window.record(&mut recorder, &mut animation, DEFAULT_GRID, (times, looks), &needed);
         gpu.wait(recorder.submit().unwrap()).unwrap();
-        animation.counts().instance_samples - before
+        (animation.counts().instance_samples - before, places)
     };
+    let (computed, places) = computed_at(60, [false, true, false], [true, true]);
+    assert_eq!(computed, 2, "the middle of both alone");
+    assert_eq!(places, [places[1]; 3]);
+    let (computed, places) = computed_at(70, [false, false, true], [true, true]);
+    assert_eq!(computed, 4, "the middle and the time that is looked at");
+    assert!(places[0] == places[1] && places[1] != places[2], "{places:?}");
+    let mut computed = |first, needed| computed_at(first, [true; 3], needed).0;
     assert_eq!(computed(10, [true, true]), 6, "the three times of both");
     assert_eq!(computed(10, [true, true]), 0, "nothing new");
     assert_eq!(computed(11, [true, true]), 4, "two new times");
