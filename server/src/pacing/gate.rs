@@ -11,8 +11,8 @@ use crate::pacing::share::{Budget, Share, WayState};
 use shadecast_protocol::ids::UpdateId;
 use std::collections::VecDeque;
 
-/// Updates that may wait for the link when another one is made.
-const MAX_WAITING_UPDATES: usize = 2;
+/// Updates that may wait for the link when another one is made: the next to leave, while that is being made.
+const MAX_WAITING_UPDATES: usize = 1;
 /// An update that has not arrived after two round trips and this, nanoseconds, waits: one loss and its repair take less.
 const LATE_NS: i64 = 100_000_000;
 /// The link is measured only over at least this long a time in which something waited for it, nanoseconds.
