@@ -11,8 +11,9 @@ use crate::pacing::share::{Budget, Share, WayState};
 use shadecast_protocol::ids::UpdateId;
 use std::collections::VecDeque;
 
-/// Updates that may wait for the link when another one is made: the next to leave, while that is being made.
-const MAX_WAITING_UPDATES: usize = 1;
+/// Updates that may wait for the link when another one is made, and for a link that is known to be slow.
+const MAX_WAITING_UPDATES: usize = 2;
+const MAX_WAITING_FOR_SLOW: usize = 1;
 /// An update that has not arrived after two round trips and this, nanoseconds, waits: one loss and its repair take less.
 const LATE_NS: i64 = 100_000_000;
 /// The link is measured only over at least this long a time in which something waited for it, nanoseconds.
@@ -145,7 +146,9 @@ impl UpdateGate {
         let under_way: u64 = self.before_updates().map(|sent| sent.bytes).sum();
         let most_bytes = self.share(way, now_ns).most_under_way_bytes(way.round_trip_ns);
         let leaves_soon = most_bytes.is_none_or(|most| under_way as f64 <= most);
-        let may = waiting.updates <= MAX_WAITING_UPDATES && leaves_soon;
+        let is_slow = self.rate_bytes_s(now_ns).is_some();
+        let may_wait = if is_slow { MAX_WAITING_FOR_SLOW } else { MAX_WAITING_UPDATES };
+        let may = waiting.updates <= may_wait && leaves_soon;
         if !may {
             let together = self.withheld_ns.filter(|[_, last_ns]| now_ns - last_ns <= TOGETHER_NS);
             self.withheld_ns = Some([together.map_or(now_ns, |[first_ns, _]| first_ns), now_ns]);

@@ -84,9 +84,17 @@ fn a_slow_link_gets_as_many_updates_as_it_carries_and_none_waits_long() {
 }
 
 #[test]
-fn at_the_start_one_update_waits_behind_the_one_that_leaves_and_no_more() {
+fn at_the_start_no_more_than_three_updates_go_before_the_link_is_known() {
     let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(1000.0));
     assert_eq!(run(&mut gate, &mut link, 5, [400_000, 100_000]).len(), MAX_WAITING_UPDATES + 1);
+}
+
+#[test]
+fn one_update_waits_for_a_link_that_is_known_to_be_slow() {
+    let (mut gate, mut link) = (UpdateGate::new(PERIOD_NS), SlowLink::new(1e6));
+    run(&mut gate, &mut link, 5, [10_000, 50_000]);
+    let waiting = gate.before_the_link(&link.way(), link.now_ns);
+    assert!((1..=MAX_WAITING_FOR_SLOW + 1).contains(&waiting.updates), "{waiting:?}");
 }
 
 #[test]
