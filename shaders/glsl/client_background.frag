@@ -6,7 +6,7 @@
 #include "client_geometry.glsl"
 
 struct BackdropGpu {
-    vec4 zenith; // rgb radiance; w: 1 in the waiting room
+    vec4 zenith; // rgb radiance
     vec4 horizon;
     vec4 nadir;
     mat4 panel_from_space; // metres; the text lies in the panel's z = 0, its middle at the origin
@@ -16,6 +16,8 @@ struct BackdropGpu {
 layout(std140, binding = 0) uniform Eyes { EyesGpu eyes; };
 layout(std140, binding = 1) uniform Backdrop { BackdropGpu backdrop; };
 layout(std430, binding = 2) readonly buffer Text { uint text[]; };
+// 0 where there is no waiting room: devices that evaluate both sides of a branch are spared its text.
+layout(constant_id = 0) const uint IS_WAITING_ROOM = 1;
 layout(location = 0) in vec2 ndc;
 layout(location = 0) out vec4 color; // linear; the attachment is sRGB
 
@@ -47,7 +49,7 @@ void main() {
     vec3 direction = normalize((eyes.space_from_clip_direction[gl_ViewIndex] * vec4(ndc, 1.0, 0.0)).xyz);
     vec3 sky = sky_radiance(backdrop.zenith.rgb, backdrop.horizon.rgb, backdrop.nadir.rgb, direction);
     color = vec4(tone_map(sky), 1.0);
-    if (backdrop.zenith.w > 0.0) {
+    if (IS_WAITING_ROOM != 0) {
         vec3 eye = eyes.space_eye[gl_ViewIndex].xyz;
         color.rgb = mix(color.rgb, vec3(0.45), floor_coverage(eye, direction) * 0.6);
         color.rgb = mix(color.rgb, vec3(0.9), panel_coverage(eye, direction));

@@ -47,7 +47,7 @@ void skin_frame(uint index, Rows model_from_mesh) {
 }
 
 void skin_vertex(uint index, vec3 position, Rows model_from_mesh) {
-    if (job.writes_tangents == 0) {
+    if (WRITES_FRAMES == 0) {
         skin_position(index, morphed(job.vertex_base + index, POSITION, position), model_from_mesh);
     } else {
         skin_frame(index, model_from_mesh);

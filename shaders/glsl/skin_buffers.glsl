@@ -4,6 +4,8 @@
 #include "influences.glsl"
 #include "scene.glsl"
 
+// 0: writes positions, 1: normals and tangents. Devices that evaluate both sides of a branch are spared the other.
+layout(constant_id = 0) const uint WRITES_FRAMES = 0;
 const uint POSITION = 0, NORMAL = 1, TANGENT = 2; // members that morph
 
 struct MorphDeltaGpu {
@@ -35,12 +37,8 @@ layout(push_constant) uniform SkinJob {
     uint output_base;         // of the instance, among the saved vertices or frames
     uint weight_base;         // of its pose, into morph_weights; NO_MORPHS
     uint pose;                // into poses
-    uint writes_tangents;       // 0: positions, 1: normals and tangents
     uint packed_base;         // into packed_vertices
     uint instance;            // whose box positions are packed in
-    uint reserved0;
-    uint reserved1;
-    uint reserved2;
 } job;
 
 #endif

@@ -3,7 +3,7 @@
 // Skins from a stream of its own, 32 bytes a vertex, sorted by the number of influences, with a pipeline for each number:
 // no invocation waits for one that has more. Twin: scene/src/animation/pose.rs.
 layout(local_size_x = 128) in;
-layout(constant_id = 0) const uint INFLUENCES = MAX_INFLUENCES;
+layout(constant_id = 1) const uint INFLUENCES = MAX_INFLUENCES;
 #include "skin_buffers.glsl"
 #include "skin.glsl"
 

@@ -13,19 +13,21 @@ layout(push_constant) uniform SpreadPush {
     uint first_entry;  // of the instance's patches, into visible
     uint patch_count;
     uint first_vertex; // of the instance, into reached
-    uint to_patches;   // 0: from patches to their vertices; 1: from vertices to their patches
 };
+// 0: from patches to their vertices; 1: from vertices to their patches. Devices that evaluate both sides of a branch are
+// spared the other.
+layout(constant_id = 0) const uint TO_PATCHES = 0;
 
 void main() {
     uint index = gl_GlobalInvocationID.x;
     if (index >= patch_count) return;
-    PatchGpu p = patches[patch_base + index];
     bool is_visible = visible[first_entry + index] != 0;
-    if (is_visible == (to_patches != 0)) return;
+    if (is_visible == (TO_PATCHES != 0)) return;
+    PatchGpu p = patches[patch_base + index];
     for (int i = 0; i < PATCH_MAX_VERTICES; i++) {
         uint vertex = first_vertex + p.vertices[i];
         uint bit = 1u << (vertex & 31u);
-        if (to_patches == 0) {
+        if (TO_PATCHES == 0) {
             atomicOr(reached[vertex >> 5], bit);
         } else if ((reached[vertex >> 5] & bit) != 0) {
             visible[first_entry + index] = SPREAD;

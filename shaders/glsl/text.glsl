@@ -2,12 +2,10 @@
 #ifndef TEXT_GLSL
 #define TEXT_GLSL
 
-const vec2 GLYPH_EXTENT = vec2(6.0, 9.0); // 5x7, and what lies between glyphs
-
 // Whether a dot of the text lies at a place, in cells from the upper left.
 float text_dot(vec2 at, uvec2 cells) {
     if (any(lessThan(at, vec2(0.0))) || any(greaterThanEqual(at, vec2(cells)))) return 0.0;
-    uvec2 cell = uvec2(at), dot_at = uvec2(fract(at) * GLYPH_EXTENT);
+    uvec2 cell = uvec2(at), dot_at = uvec2(fract(at) * vec2(GLYPH_CELL_DOTS));
     if (any(greaterThanEqual(dot_at, GLYPH_DOTS))) return 0.0;
     uint word = text[(cell.y * cells.x + cell.x) * GLYPH_WORDS + dot_at.x / 4];
     return float(word >> (dot_at.x % 4 * 8 + dot_at.y) & 1);

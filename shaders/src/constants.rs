@@ -210,6 +210,10 @@ shared! {
     GLYPH_DOTS: [u32; 2] = [5, 8];
     /// Words of a glyph.
     GLYPH_WORDS: u32 = 2;
+    /// Dots of a glyph's cell, across and along: those of the glyph, and what lies between glyphs.
+    GLYPH_CELL_DOTS: [u32; 2] = [6, 9];
+    /// Between a window's border and its figures.
+    FIGURES_MARGIN_DOTS: f32 = 2.0;
 }
 
 /// By kind of patch the corners of its triangles, three each; what is left is 0.

@@ -11,7 +11,7 @@ use crate::scene::drawing::FULL_DETAIL;
 use crate::scene::numbering::InstancePlace;
 use crate::scene::skins::Skinning;
 use crate::skinning::passes::palette::Palette;
-use crate::skinning::passes::skin::{Skin, SkinJobs};
+use crate::skinning::passes::skin::{Output, Skin, SkinJobs};
 use crate::time::RingPlace;
 use shadecast_gpu::{Access, Bind, Buffer, Gpu, GpuError, Memory, Recorder};
 use shadecast_protocol::time::WorldTime;
@@ -179,7 +179,7 @@ impl Animation {
             timeline.sampled(sample.time);
             // What has no room is drawn nowhere.
             if let Some(base) = self.saved.keep(sample.instance, sample.place) {
-                self.push_job(&mut jobs, *sample, pose, base, false);
+                self.push_job(&mut jobs, *sample, pose, base);
             }
         }
         drop(timeline);
@@ -192,7 +192,7 @@ impl Animation {
             });
             recorder.barrier(Access::COMPUTE_WRITE, Access::COMPUTE_READ);
         }
-        recorder.scope("skin", |r| self.skin.record(r, &jobs));
+        recorder.scope("skin", |r| self.skin.record(r, &jobs, Output::Positions));
         let skinned = samples.iter().chain(&still);
         self.counts.instance_samples += skinned.clone().count() as u64;
         self.counts.vertices += skinned.map(|sample| u64::from(self.vertex_count(sample))).sum::<u64>();
@@ -236,10 +236,10 @@ impl Animation {
             let pose = self.poses[sample.place.index()].of_instance[sample.instance];
             let pose = pose.expect("posed before its frames are wanted");
             if let Some(base) = self.frames.keep(sample.instance, SHADED) {
-                self.push_job(&mut jobs, *sample, pose, base, true);
+                self.push_job(&mut jobs, *sample, pose, base);
             }
         }
-        recorder.scope("skin frames", |r| self.skin.record(r, &jobs));
+        recorder.scope("skin frames", |r| self.skin.record(r, &jobs, Output::Frames));
         self.jobs = jobs;
     }
 
@@ -303,14 +303,7 @@ impl Animation {
         jobs
     }
 
-    fn push_job(
-        &self,
-        jobs: &mut SkinJobs,
-        sample: SampleJob,
-        pose: PoseRef,
-        output_base: u32,
-        writes_tangents: bool,
-    ) {
+    fn push_job(&self, jobs: &mut SkinJobs, sample: SampleJob, pose: PoseRef, output_base: u32) {
         let model = &self.scene.models[self.scene.numbering.instances[sample.instance].model];
         let paths = &self.scene.animation.manager.paths;
         let world_from_model =
@@ -323,12 +316,8 @@ impl Animation {
             output_base,
             weight_base: if model.skin.has_morphs { pose.weight_base } else { NO_MORPHS },
             pose: pose.pose,
-            writes_tangents: u32::from(writes_tangents),
             packed_base: 0,
             instance: sample.instance as u32,
-            reserved0: 0,
-            reserved1: 0,
-            reserved2: 0,
         };
         if self.scene.skinning != Skinning::Packed {
             jobs.whole.push(whole);

@@ -6,6 +6,7 @@ use shadecast_gpu::{
     Bind, BindGroup, Buffer, Framebuffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image,
     Memory, Part, Recorder, RenderPass, Sampler, SamplerDesc,
 };
+use shadecast_shaders::constants::{FIGURES_MARGIN_DOTS, GLYPH_CELL_DOTS};
 use shadecast_shaders::font::{self, Glyph};
 use shadecast_shaders::generated::{PRESENT_EYES_FRAG, PRESENT_FRAG, PRESENT_VERT, PresentPush};
 use std::sync::Arc;
@@ -31,12 +32,13 @@ pub struct Present {
     eyes: u32,
     /// The part of it that is drawn, across and along.
     picture_part: [f32; 2],
-    pipeline: GraphicsPipeline,
+    picture: GraphicsPipeline,
+    /// The same with figures over it.
+    figures: GraphicsPipeline,
     sampler: Sampler,
     group: Option<BindGroup>,
     text: Buffer,
     cells: [u32; 2],
-    codes_srgb: bool,
 }
 
 impl Present {
@@ -46,7 +48,11 @@ impl Present {
             Shows::Picture => (&PRESENT_FRAG, vk::Filter::NEAREST),
             Shows::Eyes => (&PRESENT_EYES_FRAG, vk::Filter::LINEAR),
         };
-        let desc = GraphicsPipelineDesc::new(&PRESENT_VERT, fragment, pass);
+        let pipeline = |has_figures: bool| {
+            let constants = &[u32::from(has_figures), u32::from(codes_srgb)];
+            let desc = GraphicsPipelineDesc::new(&PRESENT_VERT, fragment, pass);
+            GraphicsPipeline::new(gpu, &GraphicsPipelineDesc { constants, ..desc })
+        };
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
         let sampler = SamplerDesc { filter, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
         let bytes = u64::from(MAX_CELLS[0] * MAX_CELLS[1]) * size_of::<Glyph>() as u64;
@@ -55,19 +61,19 @@ impl Present {
             picture_extent: [1, 1],
             eyes: 1,
             picture_part: [1.0; 2],
-            pipeline: GraphicsPipeline::new(gpu, &desc)?,
+            picture: pipeline(false)?,
+            figures: pipeline(true)?,
             sampler: Sampler::new(gpu, sampler)?,
             group: None,
             text: Buffer::new(gpu, "figures", bytes, Memory::Upload)?,
             cells: [0, 0],
-            codes_srgb,
         })
     }
 
     /// Shows this picture from now on.
     pub fn show(&mut self, picture: &Image) -> Result<(), GpuError> {
         let binds = [("picture", Bind::Sampled(picture, &self.sampler)), ("Text", Bind::Buffer(&self.text))];
-        self.group = Some(BindGroup::new(self.pipeline.layout(), &binds)?);
+        self.group = Some(BindGroup::new(self.picture.layout(), &binds)?);
         self.picture_extent = picture.desc().extent;
         Ok(())
     }
@@ -102,19 +108,31 @@ impl Present {
         let push = PresentPush {
             cells: self.cells,
             pixels_per_dot: (target.extent()[1] / 400).clamp(1, 4),
-            codes_srgb: u32::from(self.codes_srgb),
+            panes: eyes,
             window_extent: window,
             pane_extent: pane_extent(window, self.picture_extent, eyes),
             picture_part: self.picture_part,
-            panes: eyes,
-            _pad_end: Default::default(),
         };
+        let figures = figures_extent(self.cells, push.pixels_per_dot, target.extent());
         recorder.begin_pass(pass, target, &[vk::ClearValue::default()]);
-        recorder.bind(&self.pipeline, group);
-        recorder.push_constants(&self.pipeline, &push);
-        recorder.draw(3, 1);
+        for (pipeline, extent) in [(&self.picture, target.extent()), (&self.figures, figures)] {
+            recorder.bind(pipeline, group);
+            recorder.push_constants(pipeline, &push);
+            recorder.draw_within(extent, 3);
+        }
         recorder.end_pass();
     }
+}
+
+/// Pixels of the panel of figures, from the window's first corner on: half a cell more than they are.
+fn figures_extent(cells: [u32; 2], pixels_per_dot: u32, window: [u32; 2]) -> [u32; 2] {
+    if cells.contains(&0) {
+        return [0, 0];
+    }
+    std::array::from_fn(|side| {
+        let dots = FIGURES_MARGIN_DOTS + (cells[side] as f32 + 0.5) * GLYPH_CELL_DOTS[side] as f32;
+        ((dots * pixels_per_dot as f32).round() as u32).min(window[side])
+    })
 }
 
 /// Width and height in pixels at which a picture fits into each of `panes` equal parts of a window, side by side, as large
@@ -128,6 +146,13 @@ fn pane_extent([width, height]: [f32; 2], picture: [u32; 2], panes: u32) -> [f32
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_panel_ends_half_a_cell_behind_its_figures_and_with_the_window() {
+        assert_eq!(figures_extent([10, 2], 2, [640, 400]), [130, 49]);
+        assert_eq!(figures_extent([72, 24], 2, [100, 90]), [100, 90]);
+        assert_eq!(figures_extent([0, 0], 2, [640, 400]), [0, 0]);
+    }
 
     #[test]
     fn pictures_of_eyes_keep_their_shape_and_fill_one_side() {

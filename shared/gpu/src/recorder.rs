@@ -477,6 +477,17 @@ impl Recorder {
         }
     }
 
+    /// Draws `vertices` vertices to the pixels of a corner of the target, width and height from its first pixel on; none where one is 0.
+    pub fn draw_within(&mut self, [width, height]: [u32; 2], vertices: u32) {
+        if width == 0 || height == 0 {
+            return;
+        }
+        let area = vk::Rect2D { offset: vk::Offset2D::default(), extent: vk::Extent2D { width, height } };
+        // SAFETY: pipeline and sets are bound; the scissor is dynamic state.
+        unsafe { self.gpu.device().cmd_set_scissor(self.commands(), 0, &[area]) };
+        self.draw(vertices, 1);
+    }
+
     /// Draws `vertices` vertices of `instances` instances.
     pub fn draw(&mut self, vertices: u32, instances: u32) {
         // SAFETY: pipeline and sets are bound.

@@ -30,46 +30,51 @@ pub enum Backdrop<'a> {
 
 /// The stage.
 pub struct Background {
-    draw: TextDraw<BackdropGpu>,
+    environment: TextDraw<BackdropGpu>,
+    waiting_room: TextDraw<BackdropGpu>,
 }
 
 impl Background {
-    /// The pipeline for `pass`.
+    /// The pipelines for `pass`.
     pub fn new(
         gpu: &Arc<Gpu>,
         pass: &RenderPass,
         eyes: [&Buffer; FRAMES_IN_FLIGHT],
     ) -> Result<Self, GpuError> {
-        let desc = GraphicsPipelineDesc {
-            depth_write: Some(false),
-            ..GraphicsPipelineDesc::new(&CLIENT_BACKGROUND_VERT, &CLIENT_BACKGROUND_FRAG, pass)
+        let draw = |is_waiting_room: bool| {
+            let desc = GraphicsPipelineDesc {
+                depth_write: Some(false),
+                constants: &[u32::from(is_waiting_room)],
+                ..GraphicsPipelineDesc::new(&CLIENT_BACKGROUND_VERT, &CLIENT_BACKGROUND_FRAG, pass)
+            };
+            TextDraw::new(gpu, &desc, "Backdrop", eyes)
         };
-        Ok(Self { draw: TextDraw::new(gpu, &desc, "Backdrop", eyes)? })
+        Ok(Self { environment: draw(false)?, waiting_room: draw(true)? })
     }
 
     /// Draws `backdrop` where nothing nearer is. The last recording of frame in flight `flight` has finished.
     pub fn record(&mut self, recorder: &mut Recorder, flight: usize, backdrop: Backdrop<'_>) {
-        let text = match backdrop {
-            Backdrop::Environment(_) => None,
-            Backdrop::WaitingRoom { text, .. } => Some(text),
+        let (draw, text) = match backdrop {
+            Backdrop::Environment(_) => (&mut self.environment, None),
+            Backdrop::WaitingRoom { text, .. } => (&mut self.waiting_room, Some(text)),
         };
-        self.draw.record(recorder, flight, &backdrop.gpu(), text, 3);
+        draw.record(recorder, flight, &backdrop.gpu(), text, 3);
     }
 }
 
 impl Backdrop<'_> {
     fn gpu(&self) -> BackdropGpu {
-        let (environment, panel_from_space, waits) = match self {
-            Self::Environment(environment) => (*environment, Mat4::IDENTITY, 0.0),
+        let (environment, panel_from_space) = match self {
+            Self::Environment(environment) => (*environment, Mat4::IDENTITY),
             Self::WaitingRoom { stage_from_panel, .. } => {
-                (&WAITING_ROOM, stage_from_panel.inverse().matrix(), 1.0)
+                (&WAITING_ROOM, stage_from_panel.inverse().matrix())
             }
         };
-        let rgb = |c: [f32; 3], w: f32| [c[0], c[1], c[2], w];
+        let rgb = |c: [f32; 3]| [c[0], c[1], c[2], 0.0];
         BackdropGpu {
-            zenith: rgb(environment.zenith, waits),
-            horizon: rgb(environment.horizon, 0.0),
-            nadir: rgb(environment.nadir, 0.0),
+            zenith: rgb(environment.zenith),
+            horizon: rgb(environment.horizon),
+            nadir: rgb(environment.nadir),
             panel_from_space: panel_from_space.to_cols_array_2d(),
             text_cells: [TEXT_CELLS[0] as u32, TEXT_CELLS[1] as u32, 0, 0],
             cell_extent_m: [CELL_EXTENT_M[0], CELL_EXTENT_M[1], 0.0, 0.0],

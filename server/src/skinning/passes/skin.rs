@@ -24,8 +24,18 @@ pub(crate) struct Skin {
 }
 
 struct Variant {
-    pipeline: ComputePipeline,
+    /// By [`Output`].
+    pipelines: [ComputePipeline; 2],
     group: BindGroup,
+}
+
+/// What is written of each vertex.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Output {
+    /// Its position.
+    Positions,
+    /// Its normal and tangent.
+    Frames,
 }
 
 /// Instances to be skinned, each at a sample time.
@@ -71,9 +81,13 @@ impl Skin {
             ("Poses", Bind::Buffer(&palette.poses)),
         ]);
         let variant = |shader, constants: &[u32]| {
-            let pipeline = ComputePipeline::specialised(gpu, shader, constants)?;
-            let group = BindGroup::of(pipeline.layout(), &binds)?;
-            Ok::<_, GpuError>(Variant { pipeline, group })
+            let pipeline = |output: Output| {
+                let constants: Vec<u32> = [output as u32].iter().chain(constants).copied().collect();
+                ComputePipeline::specialised(gpu, shader, &constants)
+            };
+            let pipelines = [pipeline(Output::Positions)?, pipeline(Output::Frames)?];
+            let group = BindGroup::of(pipelines[0].layout(), &binds)?;
+            Ok::<_, GpuError>(Variant { pipelines, group })
         };
         let is_chain = scene.skinning == Skinning::PerVertexChain;
         let whole = variant(if is_chain { &SKIN_CHAIN_COMP } else { &SKIN_COMP }, &[])?;
@@ -84,11 +98,11 @@ impl Skin {
     }
 
     /// A dispatch for each of `jobs`.
-    pub(crate) fn record(&self, recorder: &mut Recorder, jobs: &SkinJobs) {
+    pub(crate) fn record(&self, recorder: &mut Recorder, jobs: &SkinJobs, output: Output) {
         let lists = [(&self.whole, &jobs.whole)].into_iter().chain(self.packed.iter().zip(&jobs.packed));
         for (variant, jobs) in lists.filter(|(_, jobs)| !jobs.is_empty()) {
             let dispatches = jobs.iter().map(|job| (job, [job.vertex_count, 1, 1]));
-            recorder.dispatch_each(&variant.pipeline, &variant.group, dispatches);
+            recorder.dispatch_each(&variant.pipelines[output as usize], &variant.group, dispatches);
         }
     }
 }
