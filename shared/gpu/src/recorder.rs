@@ -478,6 +478,7 @@ impl Recorder {
     }
 
     /// Draws `vertices` vertices to the pixels of a corner of the target, width and height from its first pixel on; none where one is 0.
+    /// Later draws of the pass keep to these pixels too.
     pub fn draw_within(&mut self, [width, height]: [u32; 2], vertices: u32) {
         if width == 0 || height == 0 {
             return;
