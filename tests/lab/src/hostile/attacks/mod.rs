@@ -28,6 +28,8 @@ use std::time::{Duration, Instant};
 
 /// Connections that one attack makes at most.
 const MAX_CONNECTIONS: u64 = 20_000;
+/// How long the answer to a hello is waited for.
+const ANSWER_PATIENCE: Duration = Duration::from_millis(500);
 /// How long an attacker waits for a handshake before it tries another.
 const HANDSHAKE_PATIENCE: Duration = Duration::from_secs(2);
 /// A refusal costs an attacker next to nothing: without a pause it would only measure how fast it can be refused.

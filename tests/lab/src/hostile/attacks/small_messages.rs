@@ -1,11 +1,10 @@
 //! The smallest possible messages, as fast as the server takes them.
 
-use super::{Effort, Repeated, Target, Then, control_bytes, hello_bytes, one_after_the_other};
+use super::{
+    ANSWER_PATIENCE, Effort, Repeated, Target, Then, control_bytes, hello_bytes, one_after_the_other,
+};
 use shadecast_protocol::message::ClientMessage;
 use std::time::{Duration, Instant};
-
-/// How long an answer is waited for.
-const PATIENCE: Duration = Duration::from_millis(500);
 
 pub(super) fn before_hello(target: &Target) -> anyhow::Result<Effort> {
     flood(target, &[], |_| Duration::ZERO)
@@ -13,7 +12,11 @@ pub(super) fn before_hello(target: &Target) -> anyhow::Result<Effort> {
 
 /// Every other connection floods at once. A server may end those before it answers, so the others wait for the answer first.
 pub(super) fn after_hello(target: &Target) -> anyhow::Result<Effort> {
-    flood(target, &hello_bytes(|_| {}), |number| if number % 2 == 0 { PATIENCE } else { Duration::ZERO })
+    flood(
+        target,
+        &hello_bytes(|_| {}),
+        |number| if number % 2 == 0 { ANSWER_PATIENCE } else { Duration::ZERO },
+    )
 }
 
 /// `patience` is how long the connection of a number, from 0, waits for an answer to `first`.
