@@ -114,6 +114,11 @@ impl Measures {
     /// All in force.
     pub(crate) const ALL: Self = Self([true; Measure::ALL.len()]);
 
+    /// The first so many of [`Measure::ALL`] in force.
+    pub fn first(count: usize) -> Self {
+        Self(std::array::from_fn(|measure| measure < count))
+    }
+
     /// Whether any is in force.
     pub fn are_some(self) -> bool {
         self != Self::default()

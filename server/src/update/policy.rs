@@ -33,6 +33,8 @@ pub struct UpdatePolicy {
     pub shading_times: BTreeMap<UpdateId, WorldTime>,
     /// The times at which an update has a visibility pass.
     pub views: ViewPlan,
+    /// Measures in force throughout, instead of those that the time of updates asks for.
+    pub measures: Option<Measures>,
 }
 
 impl Default for UpdatePolicy {
@@ -45,6 +47,7 @@ impl Default for UpdatePolicy {
             clusters: true,
             shading_times: BTreeMap::new(),
             views: ViewPlan::default(),
+            measures: None,
         }
     }
 }

@@ -74,8 +74,9 @@ impl ViewerUpdates {
         self.rehearsed_s
     }
 
-    /// What updates do without from now on.
+    /// What updates do without from now on, where the policy does not say it.
     pub(crate) fn set_measures(&mut self, measures: Measures) {
+        let measures = self.policy.measures.unwrap_or(measures);
         self.visibility.set_measures(measures);
         self.placement.set_measures(measures);
         self.shading.set_measures(measures);

@@ -157,7 +157,10 @@ pub fn measure(options: &RunOptions, rounds: usize) -> anyhow::Result<Costs> {
     for part in Part::ALL {
         let (mut with, mut without, mut ratios) = (Vec::new(), Vec::new(), Vec::new());
         for _ in 0..rounds {
-            let [on, off] = [true, false].map(|is_on| cost(&part.switched(&options, is_on)));
+            let [on, off] = [true, false].map(|is_on| {
+                let options = part.switched(&options, is_on);
+                cost(&options, &mock_config(&options, ClockKind::Virtual, 0)?, SETTLING_S)
+            });
             let (on, off) = (on?, off?);
             with.push(on);
             without.push(off);
@@ -169,15 +172,16 @@ pub fn measure(options: &RunOptions, rounds: usize) -> anyhow::Result<Costs> {
     Ok(Costs { rounds, rows })
 }
 
-fn cost(options: &RunOptions) -> anyhow::Result<Cost> {
-    let config = MockConfig { capture_dir: None, ..mock_config(options, ClockKind::Virtual, 0)? };
+/// Runs `options` on a headset, and measures after so many seconds.
+pub(super) fn cost(options: &RunOptions, headset: &MockConfig, settling_s: f64) -> anyhow::Result<Cost> {
+    let config = MockConfig { capture_dir: None, ..headset.clone() };
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(options, &config) }?;
     let (mut frames, mut client_ms) = (0u32, 0.0);
     let mut before = None;
     while let Step::Frame(shown) = lab.step()? {
         let since_s = (shown.display_time.0 - START_NS) as f64 * 1e-9;
-        if since_s < SETTLING_S || shown.update.is_none() {
+        if since_s < settling_s || shown.update.is_none() {
             continue;
         }
         before.get_or_insert_with(|| (lab.seat().sent, lab.seat().gpu_ms.values().sum::<f64>()));

@@ -26,3 +26,4 @@ pub mod still;
 pub mod table1;
 pub mod tearing;
 pub mod viewers;
+pub mod worth;

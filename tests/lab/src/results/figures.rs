@@ -9,6 +9,7 @@ use crate::experiments::paper_size::PaperSize;
 use crate::experiments::render_thread::RenderThread;
 use crate::experiments::slow::Slow;
 use crate::experiments::table1::plot;
+use crate::experiments::worth::Worth;
 use anyhow::{Context, bail};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
@@ -116,6 +117,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "paper-size" => printed::<PaperSize>(name, results)?,
         "render-thread" => printed::<RenderThread>(name, results)?,
         name if name.starts_with("links-") => printed::<Links>(name, results)?,
+        "worth-dragons3" => printed::<Worth>(name, results)?,
         "slow-dragons3" => printed::<Slow>(name, results)?,
         "live-window-dragons3" => printed::<Live>(name, results)?,
         "budget" => crate::results::budget::table(),

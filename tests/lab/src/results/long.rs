@@ -19,6 +19,7 @@ use crate::experiments::slow_link;
 use crate::experiments::table1::cell::Size;
 use crate::experiments::table1::{self, Table1Options};
 use crate::experiments::viewers::among_others;
+use crate::experiments::worth;
 use crate::scenes::assets::asset;
 use crate::scenes::robot::robot;
 use crate::scenes::room::{MANY_VASES, write_room};
@@ -206,6 +207,11 @@ fn jobs() -> Vec<Job> {
         };
         let found = costs::measure(&options, COST_ROUNDS)?;
         println!("{found}");
+        Ok(Some(serde_json::to_value(found)?))
+    }));
+    jobs.push(Job::new("worth-dragons3", |folder| {
+        let found = worth::measure(3, COST_ROUNDS, folder.join("run"))?;
+        print!("{found}");
         Ok(Some(serde_json::to_value(found)?))
     }));
     jobs.push(Job::new("table1", |_| {
