@@ -67,6 +67,9 @@ pub(super) struct RunArgs {
     /// Compares nothing before this display frame, so that texels and bits have settled
     #[arg(long, value_name = "FRAME", default_value_t = 0)]
     compare_from: u64,
+    /// The truth has the mean of N x N places of each pixel, with textures filtered for a place
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u32).range(1..=8))]
+    truth_places: u32,
     /// Milliseconds that stages take; measured encodes of 2048x2048 texels take 13 to 65
     #[arg(long, default_value = "server=12,encode=8,decode=6")]
     stage_ms: StageMs,
@@ -175,6 +178,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         dump_every: args.dump_every,
         compare_every: args.compare_every,
         compare_from: args.compare_from,
+        truth_places: args.truth_places,
         compare_waiting: false,
         stages: args.stage_ms,
         validation: args.gpu.validation,

@@ -240,6 +240,8 @@ pub struct RunOptions {
     pub compare_every: u32,
     /// No earlier than this display frame.
     pub compare_from: u64,
+    /// Places a side of a pixel for which the truth has a colour; the pixel has their mean.
+    pub truth_places: u32,
     /// Display frames before the first picture are compared too: all that they should show is missing.
     pub compare_waiting: bool,
     /// How the client finds colours between the atlas's texels.
@@ -300,6 +302,7 @@ impl RunOptions {
             dump_every: 0,
             compare_every: COMPARE_EVERY,
             compare_from: 0,
+            truth_places: 1,
             compare_waiting: false,
             reconstruction: Reconstruction::default(),
             spared: Spared::default(),
@@ -359,6 +362,9 @@ impl RunOptions {
         }
         if self.compare_from > 0 {
             line += &format!(" --compare-from {}", self.compare_from);
+        }
+        if self.truth_places != usual.truth_places {
+            line += &format!(" --truth-places {}", self.truth_places);
         }
         if let Head::Named(name) = &self.head {
             line += &format!(" --head-path {name}");

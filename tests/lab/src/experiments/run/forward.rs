@@ -21,7 +21,8 @@ use shadecast_protocol::pose::{Fov, Pose};
 /// No device, or a file.
 pub fn run(options: &RunOptions, config: &MockConfig) -> anyhow::Result<Report> {
     let server = Server::new(options)?;
-    let mut comparer = Comparer::new(&server.gpu, &server.scene, options.extent_pixels)?;
+    let mut comparer =
+        Comparer::new(&server.gpu, &server.scene, options.extent_pixels, options.truth_places)?;
     let path = config.head_path.as_ref().context("a run has a head path")?;
     let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     let head = HeadPath::parse(&text, &path.display().to_string())?;
