@@ -15,7 +15,7 @@ use shadecast_gpu::{
     Access, Bind, BindGroup, Buffer, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc, Image, Recorder,
     Sampler, SamplerDesc, vk,
 };
-use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind, PixelTexels};
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::memory::ResidentPatch;
 use shadecast_protocol::message::MotionMemory;
@@ -187,6 +187,7 @@ fn patch(number: u16, page: u8) -> ResidentPatch {
         vertices: [0, 1, 2, 3, 0].map(|corner| VertexSlot(first + corner)),
         double_sided: true,
         block: BlockSize::new(5, 5).map(|size| Block { address, size }),
+        pixel: PixelTexels::default(),
         is_masked: false,
     }
 }

@@ -12,7 +12,7 @@ use shadecast_gpu::{
     Access, Bind, BindGroup, Buffer, ComputePipeline, Gpu, GpuError, GraphicsPipeline, GraphicsPipelineDesc,
     Image, Memory, Sampler, SamplerDesc, vk,
 };
-use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind, PixelTexels};
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::memory::ResidentPatch;
 use shadecast_shaders::Shader;
@@ -176,6 +176,7 @@ fn patch(strip: u32, at: u32) -> ResidentPatch {
         vertices: [first, above, above + 1, first + 1, first].map(VertexSlot),
         double_sided: false,
         block: BlockSize::new(3, 3).map(|size| Block { address, size }),
+        pixel: PixelTexels::default(),
         is_masked: false,
     }
 }

@@ -90,7 +90,7 @@ struct Arguments {
     /// MSAA samples; 2 falls back to 4 where unsupported [default: 4, and 1 in a window of a device without a GPU]
     #[arg(long, value_name = "SAMPLES", value_parser = ["1", "2", "4"])]
     msaa: Option<String>,
-    /// Pages of settled blocks kept on the device, 22 MB each; 0 keeps none. Pictures are not better with it yet
+    /// Pages of settled blocks kept on the device, 22 MB each; 0 keeps none. Saves bits where little changes
     #[arg(long, value_name = "N", default_value_t = DEFAULT_STORE_PAGES, value_parser = clap::value_parser!(u32).range(..=i64::from(MAX_STORE_PAGES)))]
     store_pages: u32,
     /// Requested refresh rate; the nearest offered rate is used [default: chosen by the runtime]

@@ -34,7 +34,7 @@ pub struct ClientOptions {
     pub store_pages: u32,
 }
 
-/// Pages of the store, unless another number is asked for: none, until it is shown to save bits.
+/// Pages of the store, unless another number is asked for: none, until long runs of all scenes have been measured with it.
 pub const DEFAULT_STORE_PAGES: u32 = 0;
 
 impl Default for ClientOptions {

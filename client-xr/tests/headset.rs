@@ -10,7 +10,7 @@ use shadecast_client::draw::stages::FRAMES_IN_FLIGHT;
 use shadecast_gpu::{Gpu, MemoryUse, vk};
 use shadecast_mock_runtime::config::{EventKind, MockConfig, ScriptedEvent, ScriptedHand, ScriptedInput};
 use shadecast_mock_runtime::record::{Side, read_frames};
-use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind, PixelTexels};
 use shadecast_protocol::delta::{Delta, DeltaEncoder};
 use shadecast_protocol::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Settled};
 use shadecast_protocol::ids::{InstanceId, MeshId, PatchSlot, UpdateId, VertexSlot};
@@ -773,7 +773,7 @@ fn draws_without_allocating(run: &Run, mut client: Client) {
 
 fn settles_without_allocating(run: &Run, mut client: Client) {
     let line = Line::connect_with_store(&mut client, 1);
-    let settled = [Settled { slot: PatchSlot(0), to: stored(1, 64) }];
+    let settled = [Settled { slot: PatchSlot(0), to: stored(1, 64), pixel: PixelTexels::default() }];
     takes_updates_without_allocating(run, client, line, &settled);
 }
 
@@ -876,9 +876,14 @@ fn stored(page: u8, x: u16) -> Block {
 
 /// What settles with an update, and where patches are from it on.
 fn settling(update: u32, settled: &[(u32, Block)], placed: &[(u32, Block)]) -> GeometryDelta {
+    let settles = |(slot, to): &(u32, Block)| Settled {
+        slot: PatchSlot(*slot),
+        to: *to,
+        pixel: PixelTexels::default(),
+    };
     GeometryDelta {
         update: UpdateId(update),
-        settled: settled.iter().map(|(slot, to)| Settled { slot: PatchSlot(*slot), to: *to }).collect(),
+        settled: settled.iter().map(settles).collect(),
         placements: placed.iter().map(|(slot, block)| (PatchSlot(*slot), Some(*block))).collect(),
         ..GeometryDelta::default()
     }

@@ -16,7 +16,7 @@ layout(std430, binding = 10) readonly buffer MorphWeights { float morph_weights[
 layout(std430, binding = 11) readonly buffer Arena { uvec4 arena[]; };
 layout(location = 0) out vec2 atlas_texel;
 layout(location = 1) flat out vec4 block; // left, top, right, bottom in texels
-layout(location = 2) flat out vec2 stored; // layer and highest mip level in the store; below 0: it lies in the atlas
+layout(location = 2) flat out vec4 stored; // as store_place says
 #include "client_skin.glsl"
 
 void main() {

@@ -9,7 +9,7 @@ layout(std430, binding = 1) readonly buffer Positions { vec4 positions[]; };
 layout(std140, binding = 2) uniform Eyes { EyesGpu eyes; };
 layout(location = 0) out vec2 atlas_texel;
 layout(location = 1) flat out vec4 block; // left, top, right, bottom in texels
-layout(location = 2) flat out vec2 stored; // layer and highest mip level in the store; below 0: it lies in the atlas
+layout(location = 2) flat out vec4 stored; // as store_place says
 
 void main() {
     CornerGpu corner = corners[gl_VertexIndex];

@@ -6,7 +6,7 @@ struct CornerGpu {
     uint vertex_slot;
     uint instance;
     vec2 atlas_texel; // inside the block's lookup rectangle
-    uvec2 block;      // x | y << 16 of its first texel, IS_MASKED or not; x | y << BLOCK_END_BITS of the first one beyond it, and above both its page
+    uvec2 block;      // x | y << 16 of its first texel, IS_MASKED or not, in the store STORED_PIXEL_BIT; x | y << BLOCK_END_BITS of the first one beyond it, and above both its page
 };
 
 struct EyesGpu {
@@ -17,21 +17,24 @@ struct EyesGpu {
 
 // Left, top, right, bottom in texels.
 uvec4 block_sides(uvec2 block) {
-    uint first = block.x & ~IS_MASKED, mask = (1 << BLOCK_END_BITS) - 1;
-    return uvec4(first & 0xffff, first >> 16, block.y & mask, block.y >> BLOCK_END_BITS & mask);
+    bool is_stored = block.y >> (2 * BLOCK_END_BITS) != 0;
+    uint mask = (1 << BLOCK_END_BITS) - 1, first_mask = is_stored ? (1 << STORED_PIXEL_BIT) - 1 : mask;
+    return uvec4(block.x & first_mask, block.x >> 16 & first_mask, block.y & mask, block.y >> BLOCK_END_BITS & mask);
 }
 
 vec4 block_texels(uvec2 block) {
     return vec4(block_sides(block));
 }
 
-// The block's layer in the store, below 0 for one in the atlas, and its highest mip level: no larger than the block, and at its
-// address.
-vec2 store_place(uvec2 block) {
+// The block's layer in the store, below 0 for one in the atlas; its highest mip level: no larger than the block, and at its
+// address; texels across and down that a pixel covered when it was shaded.
+vec4 store_place(uvec2 block) {
     uvec4 sides = block_sides(block);
     uvec2 shared_bits = sides.xy | (sides.zw - sides.xy);
     int layer = int(block.y >> (2 * BLOCK_END_BITS)) - 1;
-    return vec2(layer, findLSB(shared_bits.x | shared_bits.y | 1 << (STORE_LEVELS - 1)));
+    uvec2 pixel_steps = uvec2(block.x, block.x >> 16) >> STORED_PIXEL_BIT & 15;
+    int highest = findLSB(shared_bits.x | shared_bits.y | 1 << (STORE_LEVELS - 1));
+    return vec4(layer, highest, exp2(0.25 * vec2(pixel_steps)));
 }
 
 // No triangle is drawn whose vertices have no samples: the draw list leaves its patch out, and the time at which vertices

@@ -7,7 +7,7 @@
 layout(constant_id = 0) const uint HAS_STORE = 1;
 layout(location = 0) in vec2 atlas_texel;
 layout(location = 1) flat in vec4 block; // left, top, right, bottom in texels
-layout(location = 2) flat in vec2 stored; // layer and highest mip level in the store; below 0: it lies in the atlas
+layout(location = 2) flat in vec4 stored; // layer in the store, below 0: it lies in the atlas; highest mip level; texels of a pixel then
 layout(location = 0) out vec4 color; // linear; the attachment is sRGB
 
 vec4 displayed(vec3 srgb) {
@@ -23,9 +23,9 @@ bool is_stored() {
 }
 
 vec4 stored_color(vec4 footprint) {
-    return vec4(store_linear(atlas_texel, block, stored.x, store_level(footprint, stored.y)), 1.0);
+    return vec4(store_linear(atlas_texel, block, stored.x, store_level(footprint, stored.y, stored.zw)), 1.0);
 }
 
 vec4 stored_cubic_color(vec4 footprint) {
-    return vec4(store_cubic(atlas_texel, block, stored.x, store_level(footprint, stored.y)), 1.0);
+    return vec4(store_cubic(atlas_texel, block, stored.x, store_level(footprint, stored.y, stored.zw)), 1.0);
 }

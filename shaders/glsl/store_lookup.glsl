@@ -6,11 +6,15 @@
 
 layout(binding = 12) uniform sampler2DArray store;
 
-// The level at which a texel is half as large as a pixel. Blocks have up to two texels for a pixel, which are filtered for a pixel
-// already: a coarser level would blur them. footprint: how far a pixel to the right and one down lie, texels.
-float store_level(vec4 footprint, float highest) {
-    float longest = max(dot(footprint.xy, footprint.xy), dot(footprint.zw, footprint.zw));
-    return min(0.5 * log2(max(0.25 * longest, 1.0)), highest);
+// The level that filters for a pixel of now what is filtered already. footprint: how far a pixel to the right and one down lie, texels.
+// pixel: the sides of the pixel that it was shaded for, texels. Squares of the widths of filters add up: what lacks is that of the level's
+// texel.
+float store_level(vec4 footprint, float highest, vec2 pixel) {
+    vec4 by_filter = footprint / (STORED_FILTER_PIXELS * pixel.xyxy);
+    float across = dot(by_filter.xy, by_filter.xy), down = dot(by_filter.zw, by_filter.zw);
+    vec2 longer = across > down ? footprint.xy : footprint.zw;
+    float lacking = dot(longer, longer) * (1.0 - 1.0 / max(max(across, down), 1.0));
+    return min(0.5 * log2(max(lacking, 1.0)), highest);
 }
 
 // The nearest place from which a lookup in a level has no texel of another block.

@@ -162,6 +162,12 @@ shared! {
 
     /// Bits of each coordinate of the first texel beyond a corner's block; those above both are its page.
     BLOCK_END_BITS: u32 = 13;
+    /// From this bit on, of both coordinates of a block's first texel in the store: how many texels a pixel covered when it was shaded, in
+    /// quarters of an octave above one, 4 bits.
+    STORED_PIXEL_BIT: u32 = 11;
+    /// Sides of what a copy in the store is filtered for, in pixels that it was shaded for: textures come from mip levels, which filter for
+    /// more than one.
+    STORED_FILTER_PIXELS: f32 = 2.0;
     /// Mip levels of a page of the store.
     STORE_LEVELS: u32 = 5;
     /// Sides of the part of a block that a workgroup copies to the store, texels: one texel of the last level.

@@ -10,7 +10,7 @@ use shadecast_protocol::ids::{PatchSlot, VertexSlot};
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, PATCH_MAX_VERTICES, STORE_PAGE_SIDE};
 use shadecast_protocol::memory::{Patches, ResidentPatch};
 use shadecast_protocol::time::GridIndex;
-use shadecast_shaders::constants::{BLOCK_END_BITS, IS_MASKED};
+use shadecast_shaders::constants::{BLOCK_END_BITS, IS_MASKED, STORED_PIXEL_BIT};
 use shadecast_shaders::generated::CornerGpu;
 
 /// Corners of a patch of three triangles, and its indices.
@@ -378,6 +378,7 @@ const _: () = assert!(
     ATLAS_MAX_EXTENT[0] < 1 << BLOCK_END_BITS
         && ATLAS_MAX_EXTENT[1] < 1 << BLOCK_END_BITS
         && STORE_PAGE_SIDE < 1 << BLOCK_END_BITS
+        && STORE_PAGE_SIDE <= 1 << STORED_PIXEL_BIT
 );
 
 /// Corners of a patch with a block; none of another.
@@ -388,11 +389,16 @@ fn corners_of(patch: &ResidentPatch) -> ArrayVec<CornerGpu, MAX_CORNERS_PER_PATC
     // Coverage is of the atlas alone.
     let flag = if patch.is_masked && !block.is_stored() { IS_MASKED } else { 0 };
     let page = u32::from(block.address.page) << (2 * BLOCK_END_BITS);
+    let pixel =
+        patch.pixel.steps().map(|steps| if block.is_stored() { steps << STORED_PIXEL_BIT } else { 0 });
     let corner = |(uv, slot): (&[f32; 2], VertexSlot)| CornerGpu {
         vertex_slot: slot.0,
         instance: u32::from(patch.instance.0),
         atlas_texel: [left + (right - left) * uv[0], top + (bottom - top) * uv[1]],
-        block: [first_x | first_y << 16 | flag, end_x | end_y << BLOCK_END_BITS | page],
+        block: [
+            first_x | pixel[0] | (first_y | pixel[1]) << 16 | flag,
+            end_x | end_y << BLOCK_END_BITS | page,
+        ],
     };
     patch.kind.corner_uv().iter().zip(patch.vertices).map(corner).collect()
 }

@@ -78,6 +78,7 @@ impl PatchChanges {
         patches.evict(&self.evicted)?;
         patches.insert(&self.new)?;
         patches.place(&self.placements)?;
+        patches.settle(&self.settled)?;
         patches.cover(&self.coverage)?;
         for (slot, coverage) in &self.coverage {
             let block = patches.get(*slot).and_then(|patch| patch.block);
@@ -239,7 +240,7 @@ impl<P> Bundler<P> {
     /// Notes what settles with an update that was just applied.
     fn settle(&mut self, update: UpdateId, settled: &[Settled]) {
         if self.current == Some(update) {
-            let places = settled.iter().filter_map(|Settled { slot, to }| {
+            let places = settled.iter().filter_map(|Settled { slot, to, .. }| {
                 let block = self.patches.get(*slot).and_then(|patch| patch.block)?;
                 Some((block, *to))
             });

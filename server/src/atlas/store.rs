@@ -26,8 +26,10 @@ const FINE_QP: u8 = 20;
 const MOST_SETTLED_PART: u64 = 20;
 /// The same for copies that are given up in view with an update, for a finer one.
 const MOST_RENEWED_PART: u64 = 16;
-/// Steps of width and height together by which a block would be larger than its copy for another to take its place.
-const OUTGROWN_STEPS: u8 = 2;
+/// Steps of width and height together by which a block would be larger than its copy for another to take its place: of pictures coded with
+/// [`FINE_QP`] or finer, and of others, where a new block costs more than it shows.
+const OUTGROWN_STEPS: u8 = 1;
+const OUTGROWN_STEPS_COARSE: u8 = 2;
 /// Where there is no place, room is made for so many copies at once.
 const EVICTED_TOGETHER: usize = 256;
 
@@ -97,7 +99,8 @@ impl Store {
             wanted.width_log2.saturating_sub(size.width_log2),
             wanted.height_log2.saturating_sub(size.height_log2),
         ];
-        let outgrown = wider + higher >= OUTGROWN_STEPS;
+        let is_fine = newest_qp.is_none_or(|qp| qp <= FINE_QP);
+        let outgrown = wider + higher >= if is_fine { OUTGROWN_STEPS } else { OUTGROWN_STEPS_COARSE };
         let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + FINER_STEPS);
         let texels = u64::from(wanted.texels());
         if copy.settled < update && (outgrown || is_coarse) && texels <= self.renewable_texels {

@@ -299,8 +299,9 @@ impl PlacementStep {
         };
         let may = |patch: ScenePatch| residency.slot_with_block(patch).is_some() && stands(patch);
         let settled = &mut delta.geometry.settled;
-        let put =
-            |patch, to| settled.extend(residency.slot_with_block(patch).map(|slot| Settled { slot, to }));
+        let put = |patch, to, pixel| {
+            settled.extend(residency.slot_with_block(patch).map(|slot| Settled { slot, to, pixel }));
+        };
         self.layout.settle(update, may, put);
         settled.sort_unstable_by_key(|settled| settled.slot);
     }

@@ -1,16 +1,20 @@
 //! Twin of `store_lookup.glsl`: a colour from a page of the store.
 
 use super::atlas_lookup::{BlockRect, Plane};
+use crate::constants::STORED_FILTER_PIXELS;
 use glam::Vec2;
 use shadecast_protocol::limits::BLOCK_INSET_TEXELS;
 
 /// One channel of a page, linear: its mip levels, the finest first.
 pub struct Levels(pub Vec<Plane>);
 
-/// The level at which a texel is half as large as a pixel, by how far the next pixels across and down lie, texels.
-pub fn level(across: Vec2, down: Vec2, highest: f32) -> f32 {
-    let longest = across.length_squared().max(down.length_squared());
-    (0.5 * (0.25 * longest).max(1.0).log2()).min(highest)
+/// The level that filters for a pixel of now what was shaded for one of `pixel` texels. `across` and `down`: how far its neighbours lie, texels.
+pub fn level(across: Vec2, down: Vec2, highest: f32, pixel: Vec2) -> f32 {
+    let by_filter = |side: Vec2| (side / (STORED_FILTER_PIXELS * pixel)).length_squared();
+    let [by_filter_across, by_filter_down] = [across, down].map(by_filter);
+    let longer = if by_filter_across > by_filter_down { across } else { down };
+    let lacking = longer.length_squared() * (1.0 - 1.0 / by_filter_across.max(by_filter_down).max(1.0));
+    (0.5 * lacking.max(1.0).log2()).min(highest)
 }
 
 /// The nearest place from which a lookup in a level has no texel of another block.
@@ -95,9 +99,21 @@ mod tests {
 
     #[test]
     fn the_level_is_that_of_the_longer_side_of_a_pixel() {
-        assert_eq!(level(Vec2::new(0.2, 0.1), Vec2::new(0.0, 2.0), 4.0), 0.0);
-        assert_eq!(level(Vec2::new(0.5, 0.0), Vec2::new(0.0, 8.0), 4.0), 2.0);
-        assert_eq!(level(Vec2::new(128.0, 0.0), Vec2::new(0.0, 1.0), 3.0), 3.0);
+        let one = Vec2::ONE;
+        assert_eq!(level(Vec2::new(0.2, 0.1), Vec2::new(0.0, 5.0_f32.sqrt()), 4.0, one), 0.0);
+        assert_eq!(level(Vec2::new(0.5, 0.0), Vec2::new(0.0, 20.0_f32.sqrt()), 4.0, one), 2.0);
+        assert_eq!(level(Vec2::new(128.0, 0.0), Vec2::new(0.0, 1.0), 3.0, one), 3.0);
+    }
+
+    #[test]
+    fn what_is_filtered_for_a_pixel_of_now_has_the_finest_level() {
+        for pixel in [[1.0, 1.0], [2.0, 1.2], [4.0, 8.0]].map(Vec2::from) {
+            assert_eq!(level(Vec2::new(pixel.x, 0.0), Vec2::new(0.0, pixel.y), 4.0, pixel), 0.0);
+            assert_eq!(level(Vec2::new(0.5 * pixel.x, 0.0), Vec2::ZERO, 4.0, pixel), 0.0, "magnified");
+        }
+        // Filters of 4 and of the square root of 48 texels make one of 8.
+        let level = level(Vec2::new(8.0, 0.0), Vec2::new(0.0, 1.0), 4.0, Vec2::new(2.0, 1.0));
+        assert!((level - 0.5 * 48.0_f32.log2()).abs() < 1e-5, "{level}");
     }
 
     #[test]

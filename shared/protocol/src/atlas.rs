@@ -294,5 +294,44 @@ impl Block {
     }
 }
 
+/// How many texels of a block a pixel of the display covered when it was shaded, across and down: what its texels are filtered for. In
+/// quarters of an octave, from 1 to 13.5 texels: 4 bits for each.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct PixelTexels(u8);
+
+/// Steps of an octave.
+const PIXEL_STEPS: f32 = 4.0;
+const PIXEL_BITS: u32 = 4;
+
+impl PixelTexels {
+    /// The nearest to so many texels.
+    pub fn new(texels: [f32; 2]) -> Self {
+        let most = ((1u32 << PIXEL_BITS) - 1) as f32;
+        let [across, down] =
+            texels.map(|texels| (PIXEL_STEPS * texels.log2()).round().clamp(0.0, most) as u8);
+        Self(across | down << PIXEL_BITS)
+    }
+
+    /// As [`Self::bits`] gives it.
+    pub fn from_bits(bits: u8) -> Self {
+        Self(bits)
+    }
+
+    /// Steps across from bit 0, down from bit 4.
+    pub fn bits(self) -> u8 {
+        self.0
+    }
+
+    /// Steps across and down, 0..16.
+    pub fn steps(self) -> [u32; 2] {
+        [self.0 & ((1 << PIXEL_BITS) - 1), self.0 >> PIXEL_BITS].map(u32::from)
+    }
+
+    /// Texels across and down.
+    pub fn texels(self) -> [f32; 2] {
+        self.steps().map(|steps| (steps as f32 / PIXEL_STEPS).exp2())
+    }
+}
+
 #[cfg(test)]
 mod tests;

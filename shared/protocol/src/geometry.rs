@@ -1,7 +1,7 @@
 //! Geometry for the client: the vertices and patches that enter and leave its memory, and the places of patches in the atlas.
 //! Motion is in [`crate::motion`], the bytes are in [`crate::delta`].
 
-use crate::atlas::{Block, PatchKind};
+use crate::atlas::{Block, PatchKind, PixelTexels};
 use crate::coverage::Coverage;
 use crate::ids::{InstanceId, MeshId, PatchSlot, RestId, UpdateId, VertexSlot};
 use crate::limits::STATIC_STEPS_PER_M;
@@ -117,6 +117,8 @@ pub struct Settled {
     pub slot: PatchSlot,
     /// Where the copy lies in the store: as large.
     pub to: Block,
+    /// What it is filtered for.
+    pub pixel: PixelTexels,
 }
 
 /// What a client needs to know to skin.

@@ -3,7 +3,7 @@
 //! A failing test here means that old and new programs no longer understand each other. Raise `PROTOCOL_VERSION`, then copy the
 //! new bytes from the failure's message.
 
-use crate::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind};
+use crate::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, PatchKind, PixelTexels};
 use crate::coverage::Coverage;
 use crate::delta::{Delta, DeltaEncoder};
 use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Settled, Skinned};
@@ -26,7 +26,7 @@ use crate::world_clock::{Steer, WorldClock};
 use glam::Vec3;
 
 /// The version whose bytes are pinned below.
-const PINNED_VERSION: u32 = 7;
+const PINNED_VERSION: u32 = 8;
 
 #[track_caller]
 fn assert_pinned(bytes: &[u8], hex: &str) {
@@ -98,7 +98,7 @@ fn deltas() -> [Vec<u8>; 2] {
         evicted_patches: vec![PatchSlot(1)],
         evicted_vertices: vec![VertexSlot(5), VertexSlot(6)],
         placements: vec![(PatchSlot(0), None)],
-        settled: vec![Settled { slot: PatchSlot(9), to: stored }],
+        settled: vec![Settled { slot: PatchSlot(9), to: stored, pixel: PixelTexels::new([1.5, 3.0]) }],
         ..Default::default()
     };
     let moves = Delta { geometry: moves, is_update: true, samples: vec![batch(32, 10..13), batch(35, 0..0)] };
@@ -194,8 +194,8 @@ fn streams_keep_their_bytes() {
     );
     assert_pinned(
         &encode_geometry(&moves),
-        "0153434732010000000100000001556a973d000000000103010f0401010600000000000240020314000082c2034900040401c9a3
-         c0800000011200090008",
+        "0153434732010000000100000001556a973d000000000103010f0401010700000000000240020314000082c2034900040401c9a3
+         c080000001120009000862",
     );
 }
 

@@ -3,11 +3,13 @@
 //! One model serves both sides. The server's residency keeps it for each client; the client's decoder keeps its own. Both
 //! refuse a delta that contradicts it; the memory is unusable afterwards.
 
-use crate::atlas::{Block, PatchKind};
+use crate::atlas::{Block, BlockAddress, PatchKind, PixelTexels};
 use crate::coverage::Coverage;
 use crate::geometry::{GeometryDelta, InstanceInfo, Motion, NewPatch, NewVertex, Settled, Skinned};
 use crate::ids::{InstanceId, PatchSlot, RestId, SkeletonId, VertexSlot};
-use crate::limits::{MAX_INSTANCES, MAX_REST_VERTICES, MAX_STEP_M, MIN_STEP_M};
+use crate::limits::{
+    BLOCK_MIN_LOG2, MAX_INSTANCES, MAX_REST_VERTICES, MAX_STEP_M, MIN_STEP_M, STORE_PAGE_SIDE,
+};
 use crate::message::MotionMemory;
 use crate::motion::clip::ClipChunk;
 use crate::motion::predicted::check_predictions;
@@ -74,7 +76,11 @@ pub struct Entered {
 
 /// What lies in which patch slot.
 #[derive(Clone, Debug, PartialEq)]
-pub struct Patches(Vec<Option<ResidentPatch>>);
+pub struct Patches {
+    slots: Vec<Option<ResidentPatch>>,
+    /// What copies in the store are filtered for: by page, and by its places of the smallest block, row by row. Empty until one settles there.
+    pixels: Vec<Vec<PixelTexels>>,
+}
 
 /// A patch in its slot.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -89,6 +95,8 @@ pub struct ResidentPatch {
     pub double_sided: bool,
     /// Where it lies in the atlas; `None`: it is not drawn.
     pub block: Option<Block>,
+    /// What its block is filtered for, where that lies in the store.
+    pub pixel: PixelTexels,
     /// It does not cover all of its block.
     pub is_masked: bool,
 }
@@ -137,7 +145,7 @@ impl ClientMemory {
 
     /// Patch slots that exist.
     pub fn patch_slots(&self) -> u32 {
-        self.patches.0.len() as u32
+        self.patches.slots.len() as u32
     }
 
     /// True where a vertex lies in the slot.
@@ -197,7 +205,7 @@ impl ClientMemory {
         placed.chain(delta.settled.iter().map(|settled| settled.to)).try_for_each(|b| self.check_page(b))?;
         self.patches.place(&delta.placements)?;
         self.patches.cover(&delta.coverage)?;
-        self.patches.check_settled(&delta.settled)?;
+        self.patches.settle(&delta.settled)?;
         check_predictions(&delta.predictions, |slot| self.is_predicted(slot))?;
         let sampled = delta.new_vertices.iter().filter(|vertex| vertex.motion == Motion::Sampled);
         let mut sampled: Vec<_> = sampled.map(|vertex| vertex.slot).collect();
@@ -416,20 +424,33 @@ impl ClientMemory {
     }
 }
 
+/// Places of the smallest block along a side of a page.
+const STORE_PLACES_SIDE: usize = (STORE_PAGE_SIDE >> BLOCK_MIN_LOG2) as usize;
+
+fn store_place(address: BlockAddress) -> usize {
+    let [x, y] = [address.x, address.y].map(|side| usize::from(side >> BLOCK_MIN_LOG2));
+    y * STORE_PLACES_SIDE + x
+}
+
+fn pixel_of(pixels: &[Vec<PixelTexels>], block: Block) -> PixelTexels {
+    let page = pixels.get(usize::from(block.address.page)).filter(|_| block.is_stored());
+    page.and_then(|page| page.get(store_place(block.address))).copied().unwrap_or_default()
+}
+
 impl Patches {
     /// `patch_slots` free slots.
     pub fn new(patch_slots: u32) -> Self {
-        Self(vec![None; patch_slots as usize])
+        Self { slots: vec![None; patch_slots as usize], pixels: Vec::new() }
     }
 
     /// What lies in a slot.
     pub fn get(&self, slot: PatchSlot) -> Option<&ResidentPatch> {
-        self.0.get(slot.index())?.as_ref()
+        self.slots.get(slot.index())?.as_ref()
     }
 
     /// All patches by slot, ascending.
     pub fn iter(&self) -> impl Iterator<Item = (PatchSlot, &ResidentPatch)> {
-        let by_slot = self.0.iter().enumerate();
+        let by_slot = self.slots.iter().enumerate();
         by_slot.filter_map(|(slot, patch)| Some((PatchSlot(slot as u32), patch.as_ref()?)))
     }
 
@@ -438,7 +459,7 @@ impl Patches {
     /// # Errors
     /// There is none.
     pub fn evict(&mut self, slots: &[PatchSlot]) -> Result<(), WireError> {
-        slots.iter().try_for_each(|slot| match self.0.get_mut(slot.index()).and_then(Option::take) {
+        slots.iter().try_for_each(|slot| match self.slots.get_mut(slot.index()).and_then(Option::take) {
             Some(_) => Ok(()),
             None => Err(invalid("the eviction of a patch", format!("slot {} is free", slot.0))),
         })
@@ -450,17 +471,17 @@ impl Patches {
     /// A slot does not exist, or is taken.
     pub fn insert(&mut self, patches: &[NewPatch]) -> Result<(), WireError> {
         const WHAT: &str = "a new patch";
-        let slots = self.0.len();
+        let slots = self.slots.len();
         for &NewPatch { slot, instance, kind, vertices, double_sided, .. } in patches {
             let place = self
-                .0
+                .slots
                 .get_mut(slot.index())
                 .ok_or_else(|| invalid(WHAT, format!("slot {} of {slots} does not exist", slot.0)))?;
             if place.is_some() {
                 return Err(invalid(WHAT, format!("slot {} is taken", slot.0)));
             }
-            *place =
-                Some(ResidentPatch { instance, kind, vertices, double_sided, block: None, is_masked: false });
+            let (block, pixel, is_masked) = (None, PixelTexels::default(), false);
+            *place = Some(ResidentPatch { instance, kind, vertices, double_sided, block, pixel, is_masked });
         }
         Ok(())
     }
@@ -470,24 +491,32 @@ impl Patches {
     /// # Errors
     /// There is no such patch.
     pub fn place(&mut self, placements: &[(PatchSlot, Option<Block>)]) -> Result<(), WireError> {
-        placements.iter().try_for_each(|(slot, block)| match self.0.get_mut(slot.index()) {
+        let Self { slots, pixels } = self;
+        placements.iter().try_for_each(|(slot, block)| match slots.get_mut(slot.index()) {
             Some(Some(patch)) => {
-                (patch.block, patch.is_masked) = (*block, false);
+                let pixel = block.map_or(PixelTexels::default(), |block| pixel_of(pixels, block));
+                (patch.block, patch.pixel, patch.is_masked) = (*block, pixel, false);
                 Ok(())
             }
             _ => Err(invalid("a placement", format!("there is no patch in slot {}", slot.0))),
         })
     }
 
-    /// Blocks that settle lie in the atlas, and their copies are as large, in the store.
+    /// Blocks settle: patches that are placed there from now on have them.
     ///
     /// # Errors
-    /// One does not.
-    fn check_settled(&self, settled: &[Settled]) -> Result<(), WireError> {
-        settled.iter().try_for_each(|Settled { slot, to }| {
+    /// One does not lie in the atlas, or its copy is not as large, or not in the store.
+    pub fn settle(&mut self, settled: &[Settled]) -> Result<(), WireError> {
+        settled.iter().try_for_each(|Settled { slot, to, pixel }| {
             let block = self.get(*slot).and_then(|patch| patch.block).filter(|block| !block.is_stored());
             match block.is_some_and(|block| block.size == to.size && to.is_stored()) {
-                true => Ok(()),
+                true => {
+                    let page = usize::from(to.address.page);
+                    self.pixels.resize(self.pixels.len().max(page + 1), Vec::new());
+                    self.pixels[page].resize(STORE_PLACES_SIDE * STORE_PLACES_SIDE, PixelTexels::default());
+                    self.pixels[page][store_place(to.address)] = *pixel;
+                    Ok(())
+                }
                 false => {
                     let reason =
                         format!("the patch in slot {} has no block of this size in the atlas", slot.0);
@@ -502,7 +531,7 @@ impl Patches {
     /// # Errors
     /// There is no such patch, or its block has not as many texels.
     pub fn cover(&mut self, coverage: &[(PatchSlot, Coverage)]) -> Result<(), WireError> {
-        coverage.iter().try_for_each(|(slot, coverage)| match self.0.get_mut(slot.index()) {
+        coverage.iter().try_for_each(|(slot, coverage)| match self.slots.get_mut(slot.index()) {
             Some(Some(patch)) if patch.block.is_some_and(|b| b.size.texels() == coverage.texels()) => {
                 patch.is_masked = true;
                 Ok(())

@@ -9,7 +9,7 @@ use crate::motion::Motion;
 use crate::motion::pace::{GridTime, Pace, Span};
 use crate::motion::state::Motionless;
 use glam::Vec3;
-use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::atlas::{BlockAddress, BlockSize, PatchKind, PixelTexels};
 use shadecast_protocol::delta::ReceivedDelta;
 use shadecast_protocol::geometry::{self, NewVertex};
 use shadecast_protocol::ids::{InstanceId, MeshId, VertexSlot};
@@ -707,7 +707,7 @@ fn a_picture_that_is_there_before_its_vertices_waits_for_them() {
 fn settling(frame: u32) -> GeometryDelta {
     let address = BlockAddress { page: 1, x: 8, y: 4 };
     let to = Block { address, size: BlockSize::new(3, 2).expect("a size") };
-    let settled = vec![Settled { slot: PatchSlot(0), to }];
+    let settled = vec![Settled { slot: PatchSlot(0), to, pixel: PixelTexels::new([2.0, 4.0]) }];
     GeometryDelta { settled, ..delta(frame).geometry }
 }
 
@@ -746,6 +746,28 @@ fn blocks_settle_from_where_their_own_update_has_them() {
     (1..3).for_each(|update| assert_eq!(bundler.add_picture(UpdateId(update), update), None));
     bundler.take_newest_complete(UpdateId(2), |_| {});
     assert_eq!(bundler.settled(), [(there, stored)]);
+}
+
+#[test]
+fn a_copy_is_drawn_with_what_it_is_filtered_for() {
+    let mut bundler = Bundler::new(PATCH_SLOTS, AtlasExtent::DEFAULT);
+    bundler.add_delta(triangle(0, 0..=4).geometry);
+    let pixel_now = |bundler: &Bundler<u32>| bundler.patches.get(PatchSlot(0)).expect("a patch").pixel;
+    for (update, texels) in [(1, [2.0, 4.0]), (3, [8.0, 1.0])] {
+        let mut settles = settling(update);
+        settles.settled[0].pixel = PixelTexels::new(texels);
+        let to = settles.settled[0].to;
+        let from = Block { address: BlockAddress { page: 0, x: 40, y: 80 }, ..to };
+        let [in_atlas, stored] = [from, to].map(|block| (PatchSlot(0), Some(block)));
+        bundler.add_delta(GeometryDelta { placements: vec![in_atlas], ..settles });
+        bundler.add_delta(GeometryDelta { placements: vec![stored], ..delta(update + 1).geometry });
+        bundler.add_picture(UpdateId(update), update);
+        bundler.take_newest_complete(UpdateId(update), |_| {});
+        assert_eq!(pixel_now(&bundler), PixelTexels::default(), "it is in the atlas");
+        bundler.add_picture(UpdateId(update + 1), update + 1);
+        bundler.take_newest_complete(UpdateId(update + 1), |_| {});
+        assert_eq!(pixel_now(&bundler), PixelTexels::new(texels));
+    }
 }
 
 #[test]

@@ -1,13 +1,22 @@
 //! What is shown from the store, and what settles there.
 
-use super::Layout;
+use super::{Layout, State};
 use crate::atlas::placement::{Placed, PlacementChange};
 use crate::atlas::sizing::{Shape, wanted_size};
 use crate::atlas::store::Store;
 use crate::scene::numbering::ScenePatch;
 use crate::support::merged::merged;
-use shadecast_protocol::atlas::Block;
+use shadecast_protocol::atlas::{Block, PixelTexels};
 use shadecast_protocol::ids::UpdateId;
+
+impl State {
+    /// How many texels of a block a pixel of the display covers. Textures are never filtered for less than a texel.
+    fn pixel(&self, block: Block) -> PixelTexels {
+        let [left, top, right, bottom] = block.lookup_rect_texels();
+        let pixels = self.extent.map(|side| f32::from(side).max(1.0) / self.extent_density);
+        PixelTexels::new([(right - left) / pixels[0], (bottom - top) / pixels[1]])
+    }
+}
 
 impl Layout {
     /// Takes out of what needs a block in the atlas what the store has.
@@ -40,16 +49,18 @@ impl Layout {
         changes.iter().filter(in_atlas).for_each(|change| self.store.shaded(change.patch, update));
     }
 
-    /// The blocks that settle with an update, of those in view that may: each patch with its place in the store.
+    /// The blocks that settle with an update, of those in view that may: each patch with its place in the store, and what it is filtered for.
     pub(crate) fn settle(
         &mut self,
         update: UpdateId,
         may: impl Fn(ScenePatch) -> bool,
-        put: impl FnMut(ScenePatch, Block),
+        mut put: impl FnMut(ScenePatch, Block, PixelTexels),
     ) {
         let Self { live, states, store, .. } = self;
+        let with_pixel =
+            |patch: ScenePatch, block: Block| put(patch, block, states[patch.index()].pixel(block));
         let in_atlas = live.iter().filter_map(|patch| Some((*patch, states[patch.index()].block?)));
-        store.settle(update, in_atlas.filter(|(patch, _)| may(*patch)), put);
+        store.settle(update, in_atlas.filter(|(patch, _)| may(*patch)), with_pixel);
     }
 
     /// All that has a block in the atlas or in the store, shown or not, ascending.

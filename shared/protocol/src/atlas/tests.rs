@@ -128,3 +128,16 @@ fn blocks_of_two_pages_share_no_texel() {
     assert!(block(1).overlaps(block(1)) && !block(0).overlaps(block(1)) && !block(1).overlaps(block(2)));
     assert!(block(1).is_stored() && !block(0).is_stored());
 }
+
+#[test]
+fn texels_of_a_pixel_are_told_to_an_eighth_of_an_octave() {
+    for steps in 0..=150 {
+        let texels = [(steps as f32 * 0.025).exp2(), (3.75 - steps as f32 * 0.025).exp2()];
+        let told = PixelTexels::from_bits(PixelTexels::new(texels).bits()).texels();
+        for (told, texels) in told.into_iter().zip(texels) {
+            assert!((told / texels).log2().abs() <= 0.126, "{told} for {texels}");
+        }
+    }
+    assert_eq!(PixelTexels::new([0.3, 1000.0]).steps(), [0, 15], "what is beyond is told as the end");
+    assert_eq!(PixelTexels::default().texels(), [1.0; 2]);
+}

@@ -1,6 +1,6 @@
 //! The sections of geometry that are not coded in bits.
 
-use crate::atlas::Block;
+use crate::atlas::{Block, PixelTexels};
 use crate::coverage::Coverage;
 use crate::geometry::{InstanceInfo, Settled, Skinned};
 use crate::ids::{InstanceId, PatchSlot};
@@ -77,26 +77,28 @@ fn take_instance(reader: &mut Reader<'_>) -> Result<InstanceId, WireError> {
     Ok(InstanceId(number as u16))
 }
 
-/// Slot, then where to.
+/// Slot, then where to, then what it is filtered for.
 pub(super) fn put_settled(out: &mut Vec<u8>, settled: &[Settled]) {
     put_varint(out, settled.len() as u32);
     let mut previous = BEFORE_FIRST;
-    for Settled { slot, to } in settled {
+    for Settled { slot, to, pixel } in settled {
         put_successor(out, &mut previous, slot.0);
         out.extend_from_slice(&to.pack().to_le_bytes());
+        out.push(pixel.bits());
     }
 }
 
 pub(super) fn take_settled(section: &[u8], patch_slots: usize) -> Result<Vec<Settled>, WireError> {
     const WHAT: &str = "settled blocks";
     let mut reader = Reader::new(WHAT, section);
-    let count = reader.count(patch_slots, 5)?;
+    let count = reader.count(patch_slots, 6)?;
     let mut settled = Vec::with_capacity(count);
     let mut previous = BEFORE_FIRST;
     for _ in 0..count {
         let slot = PatchSlot(take_successor(&mut reader, &mut previous)?);
         let to = Block::unpack(reader.u32()?).map_err(|error| invalid(WHAT, error.to_string()))?;
-        settled.push(Settled { slot, to });
+        let pixel = PixelTexels::from_bits(reader.u8()?);
+        settled.push(Settled { slot, to, pixel });
     }
     reader.finish()?;
     Ok(settled)

@@ -1,6 +1,6 @@
 use super::sections::put_slots;
 use super::*;
-use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use crate::atlas::{Block, BlockAddress, BlockSize, PatchKind, PixelTexels};
 use crate::coverage::Coverage;
 use crate::geometry::{InstanceInfo, Motion, NewPatch, NewVertex, Settled, on_static_grid};
 use crate::ids::{InstanceId, MeshId, PatchSlot, VertexSlot};
@@ -176,7 +176,8 @@ impl Chaos {
                 delta.placements.push((PatchSlot(slot), block));
                 if let Some(block) = block.filter(|block| !block.is_stored() && self.dice.once_in(3)) {
                     let to = Block { address: BlockAddress { page: 2, x: 64, y: 32 }, ..block };
-                    delta.settled.push(Settled { slot: PatchSlot(slot), to });
+                    let pixel = PixelTexels::from_bits(self.dice.below(256) as u8);
+                    delta.settled.push(Settled { slot: PatchSlot(slot), to, pixel });
                 }
                 if let Some(block) = block.filter(|_| self.dice.once_in(3)) {
                     let often = 2 + self.dice.below(30);
@@ -268,7 +269,8 @@ fn bytes_count_for_the_part_that_they_tell() {
     };
     let placements = every().map(|slot| (slot, Some(block(slot.0)))).collect();
     let placed = GeometryDelta { placements, ..Default::default() };
-    let settles = GeometryDelta { settled: vec![Settled { slot: PatchSlot(0), to }], ..Default::default() };
+    let settled = vec![Settled { slot: PatchSlot(0), to, pixel: PixelTexels::default() }];
+    let settles = GeometryDelta { settled, ..Default::default() };
     let evicted_patches = (0..COUNT).filter(|slot| slot % 7 < 3).map(PatchSlot).collect();
     let leaves = GeometryDelta { evicted_patches, ..Default::default() };
     let mut coder = DeltaEncoder::new(COUNT + 4, COUNT).with_store(1);
@@ -496,13 +498,13 @@ fn blocks_settle_from_the_atlas_into_pages_that_were_agreed() {
         let delta = GeometryDelta { placements, settled: vec![settled], ..Default::default() };
         memory.memory().clone().apply(&delta).err().map(|error| error.to_string())
     };
-    let to = |to| Settled { slot: PatchSlot(0), to };
+    let to = |to| Settled { slot: PatchSlot(0), to, pixel: PixelTexels::default() };
     assert_eq!(refused(to(block(2, 3)), block(0, 3)), None);
     for (settled, placement, words) in [
         (to(block(2, 4)), block(0, 3), "no block of this size"),
         (to(block(0, 3)), block(0, 3), "no block of this size"),
         (to(block(2, 3)), block(1, 3), "no block of this size"),
-        (Settled { slot: PatchSlot(2), to: block(2, 3) }, block(0, 3), "no block of this size"),
+        (Settled { slot: PatchSlot(2), ..to(block(2, 3)) }, block(0, 3), "no block of this size"),
         (to(block(3, 3)), block(0, 3), "page 3 of 2"),
         (to(block(2, 3)), block(3, 3), "page 3 of 2"),
     ] {

@@ -10,7 +10,7 @@ use crate::draw::stages::eyes_gpu;
 use crate::motion::skinned::SkinCapacity;
 use glam::{Mat4, Vec2};
 use shadecast_gpu::{Access, DesktopDevice, GpuOptions, Needs, YcbcrFormat};
-use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
+use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind, PixelTexels};
 use shadecast_protocol::coverage::Coverage;
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::limits::{BLOCK_MAX_LOG2, BLOCK_MIN_LOG2};
@@ -78,8 +78,9 @@ impl Patches {
         let first = self.positions.len() as u32;
         self.positions.extend(corners.map(|[x, y]| [x, y, depth, 1.0]));
         let vertices = [0, 1, 2, 3, 0].map(|corner| VertexSlot(first + corner));
-        let (instance, block) = (InstanceId(0), Some(block));
-        let patch = ResidentPatch { instance, kind, vertices, double_sided: true, block, is_masked: false };
+        let (instance, block, pixel) = (InstanceId(0), Some(block), PixelTexels::default());
+        let patch =
+            ResidentPatch { instance, kind, vertices, double_sided: true, block, pixel, is_masked: false };
         self.patches.push(patch);
     }
 

@@ -143,10 +143,17 @@ fn gpu_and_twin_agree_on_colours_between_texels_and_levels() {
         let levels = Levels(twin.iter().enumerate().map(plane).collect());
         let mut shown = Patches { patches: Vec::new(), positions: Vec::new() };
         shown.add(to, PatchKind::Two, screen, 0.5);
+        let pixel = PixelTexels::new([2.0, 1.4]);
+        shown.patches[0].pixel = pixel;
         let rect = to.rect_texels().map(|side| side as f32);
         let [left, top, right, bottom] = to.lookup_rect_texels();
         let step = Vec2::new(right - left, bottom - top) / SIDE as f32;
-        let level = level(Vec2::new(step.x, 0.0), Vec2::new(0.0, step.y), highest_level(to) as f32);
+        let level = level(
+            Vec2::new(step.x, 0.0),
+            Vec2::new(0.0, step.y),
+            highest_level(to) as f32,
+            pixel.texels().into(),
+        );
         for reconstruction in [Reconstruction::Bilinear, Reconstruction::Bicubic] {
             let pixels = bench.draw(&shown, &picture, Lookup { reconstruction, ..Lookup::default() });
             for (number, pixel) in pixels.chunks_exact(4).enumerate() {
