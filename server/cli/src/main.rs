@@ -200,6 +200,7 @@ fn wants_colour() -> bool {
 }
 
 fn main() {
+    shadecast_system::memory::return_large_allocations();
     let filter = tracing_subscriber::filter::Targets::new()
         .with_default(tracing::Level::WARN)
         .with_target("winit", tracing::Level::ERROR); // it warns of displays without a size

@@ -4,6 +4,7 @@
 pub mod clock;
 pub mod files;
 pub mod folders;
+pub mod memory;
 pub mod owner;
 pub mod process;
 

@@ -63,7 +63,7 @@ impl fmt::Display for Worth {
         writeln!(
             f,
             "{:<22} {:>9} {:>8} {:>18} {:>15}",
-            "measure", "update", "saved", "least, most", "geometry, kB"
+            "measure", "update", "saved", "least, most", "geometry"
         )?;
         for Row { measure, with_ms, saved: [median, least, most], other_bytes_ratio } in rows {
             let range = format!("{:.1} %, {:.1} %", 100.0 * least, 100.0 * most);
