@@ -392,6 +392,13 @@ mod tests {
     }
 
     #[test]
+    fn the_first_measures_are_those_that_are_taken_first() {
+        assert_eq!(Measures::first(0), Measures::default());
+        assert_eq!(Measures::first(8), Measures::ALL);
+        assert!(Measures::first(3).has(Measure::OneTime) && !Measures::first(3).has(Measure::TwiceTheError));
+    }
+
+    #[test]
     fn a_measure_without_worth_is_given_up() {
         let some = [0.1, 0.0, 0.3, 0.0, 0.0, 0.0, 0.0, 0.0];
         assert_eq!(

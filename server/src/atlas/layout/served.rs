@@ -79,3 +79,19 @@ impl Layout {
         &mut self.store
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use shadecast_protocol::atlas::{BlockAddress, BlockSize};
+
+    #[test]
+    fn a_pixel_covers_a_blocks_texels_by_the_patchs_extent() {
+        // 62 by 30 texels are looked up, for 15.5 by 30 pixels.
+        let block = Block { address: BlockAddress::default(), size: BlockSize::new(6, 5).expect("a size") };
+        let state = State { extent: [31, 60], extent_density: 2.0, ..State::default() };
+        assert_eq!(state.pixel(block).texels(), [4.0, 1.0]);
+        let finer = State { extent: [500, 60], ..state };
+        assert_eq!(finer.pixel(block).texels(), [1.0, 1.0], "textures are filtered for a texel at least");
+    }
+}
