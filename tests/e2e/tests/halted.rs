@@ -79,7 +79,7 @@ fn watch(kind: &str, out: &Path) -> Vec<Seen> {
     // SAFETY: it is the caller's turn.
     let mut lab = unsafe { Lab::open(&options, &config) }.expect("it opens");
     let mut comparer =
-        Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels, 1).expect("a truth");
+        Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels).expect("a truth");
     let (mut seen, mut before) = (Vec::new(), HashMap::<SceneVertex, Vec4>::new());
     while let Step::Frame(frame) = lab.step().expect("it goes on") {
         let (Some(world), Some(server), true) = (frame.world_time, frame.server_time, frame.update.is_some())

@@ -287,7 +287,7 @@ fn measure(options: &DemoOptions, run: &RunOptions, out: &Path) -> anyhow::Resul
         &DesktopDevice,
     )?;
     let scene = Arc::new(SceneGpu::new(&gpu, load_scene(&options.scene)?, &SceneOptions::default())?);
-    let mut comparer = Comparer::new(&gpu, &scene, options.extent_pixels, 1)?;
+    let mut comparer = Comparer::new(&gpu, &scene, options.extent_pixels)?;
     let capture = out.join("capture");
     let frames = read_frames(&capture).context("reading the runtime's frame log")?;
     let mut summary = Summary::default();

@@ -445,7 +445,7 @@ struct Pictures {
 impl Pictures {
     /// Of a run that is captured into a folder.
     fn new(lab: &Lab, options: &RunOptions, capture: PathBuf) -> Result<Self> {
-        let comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels, 1)?;
+        let comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
         Ok(Self { capture, comparer })
     }
 

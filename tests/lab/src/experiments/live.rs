@@ -311,7 +311,7 @@ fn look(
         let extent_pixels = [left.view.width, left.view.height];
         let comparer = match &mut comparer {
             Some(comparer) => comparer,
-            none => none.insert(Comparer::new(gpu, &scene, extent_pixels, 1)?),
+            none => none.insert(Comparer::new(gpu, &scene, extent_pixels)?),
         };
         let [all, animated] = comparer.missing(world_from_eye, fov, time, &left.view)?;
         row.holes = merged(row.holes, Some(all.strict), f64::max);

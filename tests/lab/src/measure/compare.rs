@@ -41,8 +41,13 @@ pub struct Comparer {
 }
 
 impl Comparer {
-    /// For pictures of `extent_pixels`, with the mean of `places` x `places` places of each pixel. Textures are filtered for one place.
-    pub fn new(
+    /// For pictures of `extent_pixels`.
+    pub fn new(gpu: &Arc<Gpu>, scene: &Arc<SceneGpu>, extent_pixels: [u32; 2]) -> anyhow::Result<Self> {
+        Self::with_places(gpu, scene, extent_pixels, 1)
+    }
+
+    /// The same, with the mean of `places` x `places` places of each pixel. Textures are filtered for one place.
+    pub fn with_places(
         gpu: &Arc<Gpu>,
         scene: &Arc<SceneGpu>,
         extent_pixels: [u32; 2],
@@ -125,8 +130,12 @@ impl Comparer {
 
 /// Pixels of the mean of `places` x `places` of the truth's. What is where is that of their middle.
 fn split(truth: Truth, places: u32) -> anyhow::Result<(Rgb8Image, ProbeView)> {
-    let across = truth.extent_pixels[0] as usize;
     let [width, height] = truth.extent_pixels.map(|side| side / places);
+    if places == 1 {
+        let probe = ProbeView { width, height, instance: truth.instance, depth_m: truth.distance_m };
+        return Ok((Rgb8Image::new(width, height, truth.rgb8)?, probe));
+    }
+    let across = truth.extent_pixels[0] as usize;
     let places = places as usize;
     let pixels =
         || (0..height as usize).flat_map(|y| (0..width as usize).map(move |x| [x * places, y * places]));
@@ -143,10 +152,7 @@ fn split(truth: Truth, places: u32) -> anyhow::Result<(Rgb8Image, ProbeView)> {
         let light: f32 = rows.map(|at| light_of_code[usize::from(truth.rgb8[3 * at + channel])]).sum();
         (255.0 * srgb_from_linear(light / (places * places) as f32)).round() as u8
     };
-    let rgb8 = match places {
-        1 => truth.rgb8,
-        _ => pixels().flat_map(|pixel| [0, 1, 2].map(|channel| mean(pixel, channel))).collect(),
-    };
+    let rgb8 = pixels().flat_map(|pixel| [0, 1, 2].map(|channel| mean(pixel, channel))).collect();
     Ok((Rgb8Image::new(width, height, rgb8)?, probe))
 }
 

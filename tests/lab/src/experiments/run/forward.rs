@@ -22,7 +22,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 pub fn run(options: &RunOptions, config: &MockConfig) -> anyhow::Result<Report> {
     let server = Server::new(options)?;
     let mut comparer =
-        Comparer::new(&server.gpu, &server.scene, options.extent_pixels, options.truth_places)?;
+        Comparer::with_places(&server.gpu, &server.scene, options.extent_pixels, options.truth_places)?;
     let path = config.head_path.as_ref().context("a run has a head path")?;
     let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     let head = HeadPath::parse(&text, &path.display().to_string())?;

@@ -148,8 +148,12 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     // SAFETY: this is called from the main thread of the program, or from tests that hold the lab's lock, before the
     // client's threads start.
     let mut lab = unsafe { Lab::open(options, &config) }?;
-    let comparer =
-        Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels, options.truth_places)?;
+    let comparer = Comparer::with_places(
+        &lab.server.gpu,
+        &lab.server.scene,
+        options.extent_pixels,
+        options.truth_places,
+    )?;
     let mut comparer = comparer.with_true_outlines(options.spared.outlines);
     let mut run = Run {
         options,
