@@ -87,7 +87,7 @@ struct Arguments {
     /// Interpolation of colours between atlas texels
     #[arg(long, value_enum, default_value_t = ReconstructionArgument::Bilinear)]
     reconstruction: ReconstructionArgument,
-    /// MSAA samples; 2 falls back to 4 where unsupported [default: 4, and 1 in a window of a device without a GPU]
+    /// MSAA samples; 2 falls back to 4 where unsupported [default: 4, and 1 without a GPU]
     #[arg(long, value_name = "SAMPLES", value_parser = ["1", "2", "4"])]
     msaa: Option<String>,
     /// Pages of settled blocks kept on the device, 22 MB each; 0 keeps none. Saves bits where little changes

@@ -12,7 +12,7 @@ use shadecast_protocol::message::{Codec, MotionMemory};
 pub struct ClientOptions {
     /// How positions between samples are found.
     pub interpolation: Interpolation,
-    /// Samples per pixel: 1, 2 or 4.
+    /// Samples per pixel: 1, 2 or 4. `None`: [`USUAL_MSAA`], and 1 without a GPU.
     pub msaa: Option<u32>,
     /// How the atlas is looked up.
     pub lookup: Lookup,
@@ -34,6 +34,8 @@ pub struct ClientOptions {
     pub store_pages: u32,
 }
 
+/// Samples per pixel of a device with a GPU, unless another number is asked for.
+pub const USUAL_MSAA: u32 = 4;
 /// Pages of the store, unless another number is asked for: none, until long runs of all scenes have been measured with it.
 pub const DEFAULT_STORE_PAGES: u32 = 0;
 

@@ -3,6 +3,7 @@
 //! The runtime's or desktop's events enter, and drawn images of two layers. Display times, head and eye poses, presses and
 //! images to draw to leave, by the trait [`Display`]. Nothing here knows scenes, servers and pictures.
 
+pub(crate) mod rest;
 #[cfg(feature = "desktop")]
 pub mod window;
 pub mod xr;
@@ -176,6 +177,11 @@ pub trait Display {
 
     /// Ends a frame that shows nothing.
     fn end_empty_frame(&mut self, turn: FrameTurn) -> Result<(), DisplayError>;
+
+    /// Whether it leaves cores to others by itself, where there is no GPU.
+    fn rests(&self) -> bool {
+        false
+    }
 
     /// What somebody has pressed.
     fn presses(&self) -> Presses {

@@ -264,6 +264,9 @@ impl Run<'_> {
                     let cpu_ns = thread_cpu_ns() - began_cpu_ns;
                     traced.ended([began, monotonic_now()], Some(cpu_ns), &report);
                     observe(presenter, &report)?;
+                    if report.is_rendered {
+                        presenter.rest(began)?;
+                    }
                 }
                 Step::Idle => std::thread::sleep(IDLE_WAIT),
                 Step::Exit => return Ok(()),

@@ -10,7 +10,7 @@ use crate::draw::stages::Stages;
 use crate::draw::stages::background::Backdrop;
 use crate::draw::stages::probe::{EyeView, Probe, ProbeView};
 use crate::draw::stages::text::{Text, panel_ahead};
-use crate::options::ClientOptions;
+use crate::options::{ClientOptions, USUAL_MSAA};
 use crate::report::FrameReport;
 use shadecast_gpu::{Gpu, GpuError, Recorder, Ticket, Timings, vk};
 use shadecast_protocol::pose::Pose;
@@ -19,9 +19,6 @@ use std::sync::Arc;
 
 /// Bytes of a status that are said again in a notice: more than a panel has characters.
 const MOST_STATUS_BYTES: usize = 512;
-
-/// Samples a pixel where nobody wants another number.
-const USUAL_MSAA: u32 = 4;
 
 /// What draws. Fields are dropped in this order: what the device made goes before the session.
 pub(crate) struct Renderer {
@@ -63,9 +60,8 @@ impl Renderer {
     pub(crate) fn new(display: Box<dyn Display>, options: &ClientOptions) -> Result<Self, GpuError> {
         let ClientOptions { msaa, lookup, store_pages, .. } = *options;
         let gpu = display.gpu().clone();
-        let eyes = display.eye_images();
         // Without a GPU each sample costs as much as a pixel.
-        let usual = if eyes.one_eye && gpu.is_cpu() { 1 } else { USUAL_MSAA };
+        let usual = if gpu.is_cpu() { 1 } else { USUAL_MSAA };
         let samples = samples(msaa.unwrap_or(usual), display.gpu().sample_counts());
         let words = Words {
             stage_from_panel: None,

@@ -4,6 +4,7 @@ use shadecast_client::client::{Client, ClientOptions, FrameReport, Step};
 use shadecast_client::decode::decoding::DecodeTiming;
 use shadecast_client::decode::{self, DecodeError, Decoder};
 use shadecast_client::display::xr::{Xr, XrOptions};
+use shadecast_client::options::USUAL_MSAA;
 use shadecast_client::platform::{MakeDecoder, Platform};
 use shadecast_gpu::Gpu;
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
@@ -76,6 +77,7 @@ impl Run {
     fn client_keeping(&self, options: XrOptions, decoder: MakeDecoder, store_pages: u32) -> Client {
         let xr = Xr::open(&Platform, options).expect("the mock headset opens");
         let options = ClientOptions {
+            msaa: Some(USUAL_MSAA),
             decoding: DecodeTiming::Virtual { delay_ns: 6_000_000 },
             max_vertex_slots: 256,
             max_patch_slots: 64,

@@ -5,7 +5,7 @@
 
 use crate::atlas::layout::Layout;
 use crate::encode::Source;
-use crate::pacing::relief::{Measure, Measures};
+use crate::pacing::relief::Measures;
 use crate::scene::SceneGpu;
 use crate::shading::passes::shading::{Shading, ShadingMemory};
 use crate::shading::passes::ycbcr::Ycbcr;
@@ -22,9 +22,6 @@ use shadecast_gpu::{Access, Gpu, GpuError, Image, Recorder};
 use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::picture::I420;
 use std::sync::Arc;
-
-/// The part of the texels that are shaded again where that is a measure.
-const LESS_SHADING: u64 = 3;
 
 /// Owner of the atlas image and of the planes, for one viewer.
 pub(crate) struct ShadingStep {
@@ -111,10 +108,7 @@ impl ShadingStep {
 
     /// Texels that may be shaded again.
     fn allowed_texels(&self) -> u64 {
-        match self.measures.has(Measure::LessShading) && self.budget_texels != u64::MAX {
-            true => self.budget_texels / LESS_SHADING,
-            false => self.budget_texels,
-        }
+        self.measures.shaded_again(self.budget_texels)
     }
 
     /// Takes back a picture and its list of blocks, for their memory.

@@ -43,7 +43,8 @@ const UNKNOWN_SHARE: f32 = 0.6;
 const RIM: f32 = 1.1;
 /// LODs change in one of so many updates only: these need a second ID buffer.
 const CHANGE_EVERY_UPDATES: u32 = 4;
-/// On a slow device LODs change meanwhile for this part of what is seen, or for one instance.
+/// On a slow device LODs change in one of so many, for this part of what is seen, or for one instance.
+const GRADUAL_EVERY_UPDATES: u32 = 8;
 const GRADUAL_PART: f32 = 0.25;
 
 /// Factors on the error that LODs may have.
@@ -225,7 +226,8 @@ impl Detail {
             if is_tight {
                 self.press(room);
             }
-            let may_change = is_tight || self.update % CHANGE_EVERY_UPDATES == 1;
+            let every = if self.is_gradual { GRADUAL_EVERY_UPDATES } else { CHANGE_EVERY_UPDATES };
+            let may_change = is_tight || self.update % every == 1;
             self.want(|state| may_change || state.is_hurried || state.shown.is_none());
             if self.is_gradual && !is_tight {
                 self.change_a_few();

@@ -207,6 +207,10 @@ impl Display for WindowDisplay {
         self.part
     }
 
+    fn rests(&self) -> bool {
+        true
+    }
+
     fn request_exit(&mut self) {
         self.user.is_leaving = true;
     }

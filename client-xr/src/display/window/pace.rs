@@ -1,5 +1,6 @@
 //! Begin and display time of a window's frames. Pure; times are arguments.
 
+use crate::display::rest::{MAX_FRAME_NS, rest_ns};
 use shadecast_protocol::time::ClientTime;
 
 /// Rate of a display that does not say its own, pictures a second.
@@ -8,11 +9,6 @@ const USUAL_HZ: f64 = 60.0;
 const LEAST_HZ: f64 = 10.0;
 /// Share of a new frame in the idea of how long frames take.
 const NEWEST_SHARE: f64 = 0.1;
-/// A frame that took longer says nothing about the next one.
-const MAX_FRAME_NS: i64 = 250_000_000;
-/// On a shared device: the part of a frame's time that is left to others after it, and what lies between frames where these are enough.
-const LEAST_REST_PART: f64 = 0.3;
-const ENOUGH_PERIOD_NS: i64 = 1_000_000_000 / 12;
 
 /// Paces frames: no faster than the display shows them, and seen when as long has passed as frames take.
 #[derive(Clone, Copy, Debug)]
@@ -53,13 +49,6 @@ impl Pace {
         Self { is_shared, ..self }
     }
 
-    /// How long nothing is drawn after a frame: as long as it took, or until enough frames are drawn; for a part of it at least.
-    fn rest_ns(&self) -> i64 {
-        let took_ns = self.took_ns.min(MAX_FRAME_NS);
-        let least_ns = (took_ns as f64 * LEAST_REST_PART) as i64;
-        if self.is_shared { least_ns.max(took_ns.min(ENOUGH_PERIOD_NS - took_ns)) } else { 0 }
-    }
-
     /// The frame that began last is on display. Gives how long it took, nanoseconds.
     pub(super) fn finished(&mut self, now: ClientTime) -> i64 {
         let Some(began) = self.began else { return 0 };
@@ -74,7 +63,8 @@ impl Pace {
     pub(super) fn wait_ns(&self, now: ClientTime) -> i64 {
         let passed_ns = self.began.map_or(i64::MAX, |began| now.since(began));
         let of_display_ns = if passed_ns >= self.period_ns / 2 { 0 } else { self.period_ns - passed_ns };
-        if self.began.is_some() { of_display_ns.max(self.rest_ns()) } else { of_display_ns }
+        let rests = self.is_shared && self.began.is_some();
+        if rests { of_display_ns.max(rest_ns(self.took_ns)) } else { of_display_ns }
     }
 
     /// A frame begins at `now`: when it will be seen, later than the one before.
@@ -111,16 +101,15 @@ mod tests {
 
     #[test]
     fn a_slow_device_is_left_to_others_for_a_part_of_the_time() {
-        let rest_ns = |frame_ns: i64| {
+        let waits_ns = |frame_ns: i64| {
             let mut pace = Pace::new(16 * MS).sharing(true);
             pace.begin(ClientTime(0));
             pace.finished(ClientTime(frame_ns));
             pace.wait_ns(ClientTime(frame_ns))
         };
-        assert_eq!(rest_ns(80 * MS), 24 * MS, "a part at least");
-        assert_eq!(rest_ns(50 * MS), ENOUGH_PERIOD_NS - 50 * MS, "then twelve frames a second");
-        assert_eq!(rest_ns(30 * MS), 30 * MS, "half of the time at most");
-        assert_eq!(rest_ns(4 * MS), 12 * MS, "a fast one keeps the display's rate");
+        assert_eq!(waits_ns(80 * MS), rest_ns(80 * MS));
+        assert_eq!(waits_ns(30 * MS), rest_ns(30 * MS));
+        assert_eq!(waits_ns(4 * MS), 12 * MS, "a fast one keeps the display's rate");
     }
 
     #[test]

@@ -198,7 +198,10 @@ fn on_a_slow_device_lods_change_one_after_the_other_and_all_do() {
             let changed = lods.iter().zip(&before).filter(|(now, before)| now != before).count();
             assert!(changed <= most, "{changed} of {instances} in an update");
             (before, updates) = (lods, updates + 1);
-            assert!(updates <= 4 * 4 * instances.div_ceil(most), "not all change");
+            assert!(
+                updates <= 4 * GRADUAL_EVERY_UPDATES as usize * instances.div_ceil(most),
+                "not all change"
+            );
         }
         assert!(updates > 4, "{far:?}");
     }

@@ -19,6 +19,7 @@ use shadecast_client::client::{Client, ClientOptions, FrameReport, Notice, Step,
 use shadecast_client::display::Display;
 use shadecast_client::display::xr::{Xr, XrOptions};
 use shadecast_client::net::traced::Traced;
+use shadecast_client::options::USUAL_MSAA;
 use shadecast_client::platform::Platform;
 use shadecast_client::present::presenter::Presenter;
 use shadecast_client::stream::intake::Intake;
@@ -187,6 +188,7 @@ impl Replay {
         unsafe { set_runtime(&variables) };
         let xr = Xr::open(&Platform, XrOptions::default())?;
         let client_options = ClientOptions {
+            msaa: Some(USUAL_MSAA),
             max_vertex_slots: options.room.vertices,
             max_patch_slots: options.room.patches,
             max_triangles: options.room.triangles,

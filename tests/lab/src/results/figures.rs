@@ -119,7 +119,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         name if name.starts_with("links-") => printed::<Links>(name, results)?,
         "worth-dragons3" => printed::<Worth>(name, results)?,
         "slow-dragons3" => printed::<Slow>(name, results)?,
-        "live-window-dragons3" => printed::<Live>(name, results)?,
+        "live-window-dragons3" | "live-mock-dragons3" => printed::<Live>(name, results)?,
         "budget" => crate::results::budget::table(),
         name if name.starts_with("causes-") => printed::<Causes>(name, results)?,
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),

@@ -25,9 +25,11 @@ use crate::scenes::robot::robot;
 use crate::scenes::room::{MANY_VASES, write_room};
 use crate::scenes::walls::{TEXELS, write_walls};
 use crate::session::options::{Renderer, RunOptions, StageMs, ViewerOptions};
+use crate::session::runtime::{prepare_runtime, set_runtime};
 use anyhow::{Context, bail, ensure};
 use serde_json::{Value, json};
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
+use shadecast_mock_runtime::config::MockConfig;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::animation::sampling::{DEFAULT_INTERVAL_S, Sampling};
 use shadecast_scene::cache::Cache;
@@ -82,11 +84,14 @@ const SLOW_LINK_SECONDS: f64 = 25.0;
 const COST_SECONDS: f64 = 1.2;
 const COST_ROUNDS: usize = 3;
 /// Devices whose updates take 250, 700 and 1,000 ms.
-const SLOW_STAGES: StageMs = StageMs { server: 250.0, encode: 20.0, decode: 10.0, steps: None };
-const SLOWER: [f64; 3] = [1.0, 2.8, 4.0];
+const SLOW_STAGES: StageMs =
+    StageMs { server: 100.0 / 3.0, encode: 8.0 / 3.0, decode: 4.0 / 3.0, steps: None };
+const SLOWER: [f64; 5] = [1.0, 3.0, 7.5, 21.0, 30.0];
 const SLOW_SECONDS: f64 = 10.0;
 /// The window that is watched in real time, and for how long.
 const LIVE_WINDOW_PIXELS: [u32; 2] = [1280, 800];
+/// Of each eye, where it is a headset.
+const LIVE_EYE_PIXELS: [u32; 2] = [512; 2];
 const LIVE_SECONDS: u32 = 60;
 /// Milliseconds one way of the link for the head that starts abruptly.
 const ABRUPT_WAY_MS: f64 = 110.0;
@@ -254,6 +259,7 @@ fn jobs() -> Vec<Job> {
         jobs.push(Job::new(name, move |folder| links(folder).map(Some)));
     }
     jobs.push(Job::new("live-window-dragons3", live_window));
+    jobs.push(Job::new("live-mock-dragons3", |folder| live_mock(folder).map(Some)));
     jobs.push(Job::new("viewers-4", |folder| four_viewers(folder).map(Some)));
     jobs.push(Job::new("second-viewer-dragons9", |folder| second_viewer(folder).map(Some)));
     jobs.push(Job::new("headset-off", |folder| headset_off(folder).map(Some)));
@@ -413,14 +419,22 @@ fn live_window(folder: &Path) -> anyhow::Result<Option<Value>> {
         println!("SKIPPED: a window needs a desktop: set DISPLAY");
         return Ok(None);
     }
-    let found = live::measure(&live::LiveOptions {
-        scene: SceneSource::Dragons(3),
-        out: folder.to_owned(),
-        window_pixels: Some(LIVE_WINDOW_PIXELS),
-        seconds: LIVE_SECONDS,
-    })?;
+    live_in(folder, Some(LIVE_WINDOW_PIXELS)).map(Some)
+}
+
+/// The same with the OpenXR client, on the mock runtime.
+fn live_mock(folder: &Path) -> anyhow::Result<Value> {
+    let config = MockConfig { extent_pixels: LIVE_EYE_PIXELS, ..MockConfig::default() };
+    // SAFETY: jobs run one after the other, and this one has started no thread yet.
+    unsafe { set_runtime(&prepare_runtime(&config, folder)?) };
+    live_in(folder, None)
+}
+
+fn live_in(folder: &Path, window_pixels: Option<[u32; 2]>) -> anyhow::Result<Value> {
+    let (scene, out) = (SceneSource::Dragons(3), folder.to_owned());
+    let found = live::measure(&live::LiveOptions { scene, out, window_pixels, seconds: LIVE_SECONDS })?;
     println!("{found}");
-    Ok(Some(serde_json::to_value(found)?))
+    Ok(serde_json::to_value(found)?)
 }
 
 /// One dragon, and the headset taken off by either way that runtimes have.

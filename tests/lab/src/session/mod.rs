@@ -29,6 +29,7 @@ use shadecast_client::decode::decoding::DecodeTiming;
 use shadecast_client::display::xr::{Xr, XrOptions};
 use shadecast_client::draw::stages::atlas_draw::Lookup;
 use shadecast_client::net::traced::Traced;
+use shadecast_client::options::USUAL_MSAA;
 use shadecast_client::platform::Platform;
 use shadecast_gpu::{DesktopDevice, Gpu, GpuOptions, Needs};
 use shadecast_mock_runtime::clock::period_begin_ns;
@@ -375,6 +376,7 @@ impl Lab {
         let Medium { codecs, link, stages } = options.medium();
         let decode_ns = stages.ns(stages.decode);
         let client_options = ClientOptions {
+            msaa: Some(USUAL_MSAA), // as with a GPU
             decoding: DecodeTiming::Virtual { delay_ns: decode_ns },
             codecs,
             max_vertex_slots: options.room.vertices,
