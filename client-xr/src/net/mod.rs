@@ -18,6 +18,7 @@ mod trust;
 mod wording;
 
 use crate::client::{ClientError, ClientOptions, FrameReport, Step, halves};
+use crate::display::rest::rest_ns;
 use crate::display::{Display, DisplayError};
 use crate::platform::monotonic_now;
 use crate::present::presenter::Presenter;
@@ -264,8 +265,10 @@ impl Run<'_> {
                     let cpu_ns = thread_cpu_ns() - began_cpu_ns;
                     traced.ended([began, monotonic_now()], Some(cpu_ns), &report);
                     observe(presenter, &report)?;
-                    if report.is_rendered {
-                        presenter.rest(began)?;
+                    if report.is_rendered && presenter.leaves_cores() {
+                        presenter.wait_for_frame()?;
+                        let took_ns = monotonic_now().since(began).max(0);
+                        std::thread::sleep(Duration::from_nanos(rest_ns(took_ns) as u64));
                     }
                 }
                 Step::Idle => std::thread::sleep(IDLE_WAIT),

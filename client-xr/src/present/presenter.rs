@@ -7,7 +7,6 @@ use super::renderer::Renderer;
 use super::scene::Scene;
 use super::scenes::Scenes;
 use super::stats::{ClientStats, Counters};
-use crate::display::rest::rest_ns;
 use crate::display::{Display, Views};
 use crate::draw::stages::Stages;
 use crate::draw::stages::atlas_draw::{BUNDLES, PictureWays};
@@ -16,7 +15,6 @@ use crate::draw::stages::interpolate::Interpolation;
 use crate::draw::stages::probe::ProbeView;
 use crate::handover::{FrameNote, Loan, Prepared, PresenterEnd, TurnNote};
 use crate::options::ClientOptions;
-use crate::platform::monotonic_now;
 use crate::report::{ClientError, FrameReport};
 use shadecast_gpu::{Gpu, Ticket, Timings};
 use shadecast_protocol::ids::DiscontinuityId;
@@ -24,7 +22,6 @@ use shadecast_protocol::message::{HeadState, Welcome};
 use shadecast_protocol::time::ClientTime;
 use std::sync::Arc;
 use std::thread::Thread;
-use std::time::Duration;
 
 /// Loans of the scene on display and of the one that follows it.
 const MOST_LOANS: usize = 2 * (BATCHES + BUNDLES);
@@ -118,18 +115,18 @@ impl Presenter {
         PictureWays::new(&self.renderer.gpu, &targets.pass, atlas)
     }
 
-    /// Leaves the cores to others for a while after a frame, where there is no GPU: a server may need them. `began`: when the frame did.
+    /// Whether frames are to leave the cores to others for a while: a server may need them, where there is no GPU.
+    pub(crate) fn leaves_cores(&self) -> bool {
+        self.renderer.gpu.is_cpu() && !self.renderer.display.rests()
+    }
+
+    /// Waits until the device has drawn the last frame.
     ///
     /// # Errors
     /// Those of the device.
-    pub(crate) fn rest(&self, began: ClientTime) -> Result<(), ClientError> {
-        let Renderer { gpu, display, last_ticket, .. } = &self.renderer;
-        if gpu.is_cpu() && !display.rests() {
-            last_ticket.map_or(Ok(()), |ticket| gpu.wait(ticket))?;
-            let rest_ns = rest_ns(monotonic_now().since(began).max(0));
-            std::thread::sleep(Duration::from_nanos(rest_ns as u64));
-        }
-        Ok(())
+    pub(crate) fn wait_for_frame(&self) -> Result<(), ClientError> {
+        let Renderer { gpu, last_ticket, .. } = &self.renderer;
+        Ok(last_ticket.map_or(Ok(()), |ticket| gpu.wait(ticket))?)
     }
 
     /// Pixels per eye, width and height.

@@ -244,8 +244,13 @@ impl AtlasDraw {
         };
         let ways = Ways::new(gpu, pass, [fragment, masked], (has_store, None))?;
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let sampler =
-            SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
+        let sampler = SamplerDesc {
+            filter: vk::Filter::LINEAR,
+            wrap: [edge; 2],
+            mips: false,
+            mip_bias: 0.0,
+            anisotropy: 1.0,
+        };
         let (sampler, settle) = (Sampler::new(gpu, sampler)?, Settle::new(gpu)?);
         Ok(Self { chroma, has_store, ways, sampler, settle })
     }
