@@ -67,7 +67,8 @@ pub(super) struct RunArgs {
     /// Compares nothing before this display frame, so that texels and bits have settled
     #[arg(long, value_name = "FRAME", default_value_t = 0)]
     compare_from: u64,
-    /// The truth has the mean of N x N places of each pixel, with textures filtered for a place
+    /// The truth has the mean of N x N places of each pixel, with textures filtered for a place. 1: one lookup a pixel, as fast
+    /// renderers have it; 4: nearly all the light that a pixel covers
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u32).range(1..=8))]
     truth_places: u32,
     /// Milliseconds that stages take; measured encodes of 2048x2048 texels take 13 to 65

@@ -36,8 +36,9 @@ pub struct Comparer {
     truth: SceneTruth,
     moving_shadow: MovingShadow,
     has_true_outlines: bool,
-    /// Places a side of a pixel.
+    /// Places a side of a pixel, and what renders one place of each, where these are more.
     places: u32,
+    middle: Option<Forward>,
 }
 
 impl Comparer {
@@ -53,17 +54,20 @@ impl Comparer {
         extent_pixels: [u32; 2],
         places: u32,
     ) -> anyhow::Result<Self> {
-        let forward = Forward::new(gpu, scene, extent_pixels.map(|side| side * places))
-            .context("making the ground-truth renderer")?;
+        let renderer = |places: u32| {
+            Forward::new(gpu, scene, extent_pixels.map(|side| side * places))
+                .context("making the ground-truth renderer")
+        };
         let moves = scene.numbering.instances.iter().map(|instance| instance.is_animated).collect();
         let moving_shadow = MovingShadow::new(&scene.scene, moves, &scene.world_bounds);
         Ok(Self {
             scene: scene.clone(),
-            forward,
+            forward: renderer(places)?,
             truth: SceneTruth::new(scene),
             moving_shadow,
             has_true_outlines: false,
             places,
+            middle: (places > 1).then(|| renderer(1)).transpose()?,
         })
     }
 
@@ -123,72 +127,57 @@ impl Comparer {
         fov: Fov,
         time: WorldTime,
     ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
-        let posed = self.truth.posed(time);
-        split(self.forward.render_posed(world_from_eye, fov, time, posed)?, self.places)
+        let Self { forward, middle, truth, places, .. } = self;
+        let mut render = |renderer: &mut Forward| {
+            renderer.render_posed(world_from_eye, fov, time, truth.posed(time)).map_err(anyhow::Error::from)
+        };
+        let Truth { extent_pixels, rgb8, instance, distance_m } = render(forward)?;
+        let [width, height] = extent_pixels.map(|side| side / *places);
+        let picture = Rgb8Image::new(width, height, mean_of_places(extent_pixels, rgb8, *places))?;
+        // What is where is that of a pixel's middle, whatever colour it has.
+        let (instance, depth_m) = match middle {
+            None => (instance, distance_m),
+            Some(middle) => {
+                let Truth { instance, distance_m, .. } = render(middle)?;
+                (instance, distance_m)
+            }
+        };
+        Ok((picture, ProbeView { width, height, instance, depth_m }))
     }
 }
 
-/// Pixels of the mean of `places` x `places` of the truth's. What is where is that of their middle.
-fn split(truth: Truth, places: u32) -> anyhow::Result<(Rgb8Image, ProbeView)> {
-    let [width, height] = truth.extent_pixels.map(|side| side / places);
+/// By pixel the mean light of `places` x `places` pixels of a picture.
+fn mean_of_places(extent_pixels: [u32; 2], rgb8: Vec<u8>, places: u32) -> Vec<u8> {
     if places == 1 {
-        let probe = ProbeView { width, height, instance: truth.instance, depth_m: truth.distance_m };
-        return Ok((Rgb8Image::new(width, height, truth.rgb8)?, probe));
+        return rgb8;
     }
-    let across = truth.extent_pixels[0] as usize;
+    let [across, down] = extent_pixels.map(|side| side as usize);
     let places = places as usize;
-    let pixels =
-        || (0..height as usize).flat_map(|y| (0..width as usize).map(move |x| [x * places, y * places]));
-    let middle = |[x, y]: [usize; 2]| (y + places / 2) * across + x + places / 2;
-    let probe = ProbeView {
-        width,
-        height,
-        instance: pixels().map(|pixel| truth.instance[middle(pixel)]).collect(),
-        depth_m: pixels().map(|pixel| truth.distance_m[middle(pixel)]).collect(),
-    };
+    let pixels = (0..down / places).flat_map(|y| (0..across / places).map(move |x| [x * places, y * places]));
     let light_of_code: [f32; 256] = std::array::from_fn(|code| linear_from_srgb(code as f32 / 255.0));
     let mean = |[x, y]: [usize; 2], channel: usize| {
-        let rows = (y..y + places).flat_map(|y| (x..x + places).map(move |x| y * across + x));
-        let light: f32 = rows.map(|at| light_of_code[usize::from(truth.rgb8[3 * at + channel])]).sum();
+        let within = (y..y + places).flat_map(|y| (x..x + places).map(move |x| y * across + x));
+        let light: f32 = within.map(|at| light_of_code[usize::from(rgb8[3 * at + channel])]).sum();
         (255.0 * srgb_from_linear(light / (places * places) as f32)).round() as u8
     };
-    let rgb8 = pixels().flat_map(|pixel| [0, 1, 2].map(|channel| mean(pixel, channel))).collect();
-    Ok((Rgb8Image::new(width, height, rgb8)?, probe))
+    pixels.flat_map(|pixel| [0, 1, 2].map(|channel| mean(pixel, channel))).collect()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
 
-    fn truth(extent_pixels: [u32; 2], rgb8: Vec<u8>) -> Truth {
-        let pixels = 0..extent_pixels[0] * extent_pixels[1];
-        Truth {
-            extent_pixels,
-            rgb8,
-            instance: pixels.clone().collect(),
-            distance_m: pixels.map(|pixel| pixel as f32).collect(),
-        }
-    }
-
     #[test]
     fn a_pixel_has_the_mean_light_of_its_places() {
         // Half of the places white: half of the light is 188 in sRGB.
         let white = |x: u32| if x.is_multiple_of(2) { 255 } else { 0 };
         let rgb8 = (0..4 * 2).flat_map(|at| [white(at % 4), 255, 0]).collect();
-        let (picture, probe) = split(truth([4, 2], rgb8), 2).expect("a picture");
-        assert_eq!((picture.width, picture.height), (2, 1));
-        assert_eq!(picture.data, [188, 255, 0, 188, 255, 0]);
-        assert_eq!(
-            (probe.instance, probe.depth_m),
-            (vec![5, 7], vec![5.0, 7.0]),
-            "of the place in the middle"
-        );
+        assert_eq!(mean_of_places([4, 2], rgb8, 2), [188, 255, 0, 188, 255, 0]);
     }
 
     #[test]
     fn one_place_is_the_picture_itself() {
         let rgb8: Vec<u8> = (0..18).collect();
-        let (picture, probe) = split(truth([3, 2], rgb8.clone()), 1).expect("a picture");
-        assert_eq!((picture.data, probe.instance), (rgb8, (0..6).collect()));
+        assert_eq!(mean_of_places([3, 2], rgb8.clone(), 1), rgb8);
     }
 }
