@@ -126,8 +126,13 @@ impl Bench {
         };
         let pipeline = GraphicsPipeline::new(&self.gpu, &desc)?;
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let sampler =
-            SamplerDesc { filter: vk::Filter::LINEAR, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
+        let sampler = SamplerDesc {
+            filter: vk::Filter::LINEAR,
+            wrap: [edge; 2],
+            mips: false,
+            mip_bias: 0.0,
+            anisotropy: 1.0,
+        };
         let sampler = Sampler::new(&self.gpu, sampler)?;
         let mut binds = vec![
             ("Corners", Bind::Buffer(&way.bundle.corners)),

@@ -156,6 +156,8 @@ pub struct SamplerDesc {
     pub wrap: [vk::SamplerAddressMode; 2],
     /// Mip levels in use, linear between them.
     pub mips: bool,
+    /// Added to the mip level; below 0 is sharper.
+    pub mip_bias: f32,
     /// Largest anisotropy; 1 is off.
     pub anisotropy: f32,
 }
@@ -565,6 +567,7 @@ impl Sampler {
             .address_mode_w(vk::SamplerAddressMode::CLAMP_TO_EDGE)
             .anisotropy_enable(desc.anisotropy > 1.0)
             .max_anisotropy(desc.anisotropy.min(gpu.properties.limits.max_sampler_anisotropy))
+            .mip_lod_bias(desc.mip_bias)
             .max_lod(if desc.mips { vk::LOD_CLAMP_NONE } else { 0.0 });
         // SAFETY: the device is alive and has the feature anisotropy needs where it is asked for.
         let handle = unsafe { gpu.device().create_sampler(&info, None) }.doing("creating a sampler")?;

@@ -95,8 +95,13 @@ impl Shadow {
             ("textures", Bind::Textures(&textures)),
         ];
         let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let nearest =
-            SamplerDesc { filter: vk::Filter::NEAREST, wrap: [edge; 2], mips: false, anisotropy: 1.0 };
+        let nearest = SamplerDesc {
+            filter: vk::Filter::NEAREST,
+            wrap: [edge; 2],
+            mips: false,
+            mip_bias: 0.0,
+            anisotropy: 1.0,
+        };
         Ok(Self {
             group: BindGroup::new(geometry.layout(), &binds)?,
             target: Framebuffer::new(gpu, &pass, [side; 2], &[map.view()])?,

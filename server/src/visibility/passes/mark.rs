@@ -50,6 +50,7 @@ pub(crate) fn nearest() -> SamplerDesc {
         filter: vk::Filter::NEAREST,
         wrap: [vk::SamplerAddressMode::CLAMP_TO_EDGE; 2],
         mips: false,
+        mip_bias: 0.0,
         anisotropy: 1.0,
     }
 }
