@@ -77,7 +77,12 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<AbruptReport> {
     let config = MockConfig { seconds: 0.0, ..mock_config(&options, ClockKind::Virtual, 1)? };
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(&options, &config) }?;
-    let mut comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
+    let mut comparer = Comparer::with_places(
+        &lab.server.gpu,
+        &lab.server.scene,
+        options.extent_pixels,
+        options.truth_places,
+    )?;
     let mut report = AbruptReport::default();
     let mut still = Vec::new();
     let mut first_ns = None;

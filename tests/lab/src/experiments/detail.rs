@@ -121,7 +121,12 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<DetailReport> {
     let config = mock_config(options, ClockKind::Virtual, 1)?;
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(options, &config) }?;
-    let comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
+    let comparer = Comparer::with_places(
+        &lab.server.gpu,
+        &lab.server.scene,
+        options.extent_pixels,
+        options.truth_places,
+    )?;
     let mut watch = Watch { report: DetailReport::default(), comparer, last: None };
     while let Step::Frame(frame) = lab.step()? {
         let Some(update) = frame.update else { continue };

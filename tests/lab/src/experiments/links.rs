@@ -445,7 +445,12 @@ struct Pictures {
 impl Pictures {
     /// Of a run that is captured into a folder.
     fn new(lab: &Lab, options: &RunOptions, capture: PathBuf) -> Result<Self> {
-        let comparer = Comparer::new(&lab.server.gpu, &lab.server.scene, options.extent_pixels)?;
+        let comparer = Comparer::with_places(
+            &lab.server.gpu,
+            &lab.server.scene,
+            options.extent_pixels,
+            options.truth_places,
+        )?;
         Ok(Self { capture, comparer })
     }
 
