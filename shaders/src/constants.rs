@@ -167,7 +167,7 @@ shared! {
     STORED_PIXEL_BIT: u32 = 11;
     /// Sides of what a copy in the store is filtered for, in pixels that it was shaded for: textures come from mip levels, which filter for
     /// more than one.
-    STORED_FILTER_PIXELS: f32 = 2.0;
+    STORED_FILTER_PIXELS: f32 = 2.8;
     /// Mip levels of a page of the store.
     STORE_LEVELS: u32 = 5;
     /// Sides of the part of a block that a workgroup copies to the store, texels: one texel of the last level.

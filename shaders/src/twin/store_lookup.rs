@@ -100,8 +100,10 @@ mod tests {
     #[test]
     fn the_level_is_that_of_the_longer_side_of_a_pixel() {
         let one = Vec2::ONE;
-        assert_eq!(level(Vec2::new(0.2, 0.1), Vec2::new(0.0, 5.0_f32.sqrt()), 4.0, one), 0.0);
-        assert_eq!(level(Vec2::new(0.5, 0.0), Vec2::new(0.0, 20.0_f32.sqrt()), 4.0, one), 2.0);
+        // What lacks to it from the filter that is there.
+        let lacks = |texels: f32| Vec2::new(0.0, texels.hypot(STORED_FILTER_PIXELS));
+        assert_eq!(level(Vec2::new(0.2, 0.1), lacks(1.0), 4.0, one), 0.0);
+        assert!((level(Vec2::new(0.5, 0.0), lacks(4.0), 4.0, one) - 2.0).abs() < 1e-5);
         assert_eq!(level(Vec2::new(128.0, 0.0), Vec2::new(0.0, 1.0), 3.0, one), 3.0);
     }
 
@@ -111,9 +113,10 @@ mod tests {
             assert_eq!(level(Vec2::new(pixel.x, 0.0), Vec2::new(0.0, pixel.y), 4.0, pixel), 0.0);
             assert_eq!(level(Vec2::new(0.5 * pixel.x, 0.0), Vec2::ZERO, 4.0, pixel), 0.0, "magnified");
         }
-        // Filters of 4 and of the square root of 48 texels make one of 8.
-        let level = level(Vec2::new(8.0, 0.0), Vec2::new(0.0, 1.0), 4.0, Vec2::new(2.0, 1.0));
-        assert!((level - 0.5 * 48.0_f32.log2()).abs() < 1e-5, "{level}");
+        // Filters of 2 pixels' and of 4 texels make one of both.
+        let across = Vec2::new(4.0_f32.hypot(2.0 * STORED_FILTER_PIXELS), 0.0);
+        let level = level(across, Vec2::new(0.0, 1.0), 4.0, Vec2::new(2.0, 1.0));
+        assert!((level - 2.0).abs() < 1e-5, "{level}");
     }
 
     #[test]
