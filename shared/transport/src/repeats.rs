@@ -1,4 +1,4 @@
-//! Packets of a connection that leave twice, on a path that loses some. Pure.
+//! Packets of a connection that leave twice, on a path that loses some, or three times where it loses many. Pure.
 //!
 //! A lost packet costs a round trip and more, whatever it held: deltas are taken in order, so all later updates wait for it. The same
 //! packet lost again costs another. A copy that leaves a little later costs only bytes: QUIC drops the second of two equal packets, so
@@ -19,6 +19,8 @@ const DELAY_NS: i64 = 10_000_000;
 const URGENT_PER_LOST: u64 = 2;
 /// Packets leave twice while more than this part of them was lost of late,
 const LOSSY: f64 = 0.004;
+/// three times while more than this part was,
+const VERY_LOSSY: f64 = 0.02;
 /// and not because of one loss alone,
 const LEAST_LOST: f64 = 1.5;
 /// and for so long after the last loss, nanoseconds.
@@ -55,7 +57,7 @@ struct Again {
     at_ns: i64,
     transmit: Transmit,
     /// And once more after that.
-    is_urgent: bool,
+    has_another: bool,
 }
 
 /// What the path loses.
@@ -96,27 +98,31 @@ impl Loss {
         new_lost
     }
 
+    fn is_very_lossy(&self) -> bool {
+        self.lost >= LEAST_LOST && self.lost >= VERY_LOSSY * self.sent
+    }
+
     fn is_lossy(&self, now_ns: i64) -> bool {
         self.lossy_until_ns.is_some_and(|until_ns| now_ns < until_ns)
     }
 }
 
 impl Spare {
-    /// Packets of so many bytes leave. Whether as many again may.
-    fn take(&mut self, now_ns: i64, bytes: usize, target_bytes_s: f64) -> bool {
+    /// Packets of so many bytes leave. How many copies of them may, `most` at most.
+    fn take(&mut self, now_ns: i64, bytes: usize, target_bytes_s: f64, most: u8) -> u8 {
         let (elapsed_ns, rate) = ((now_ns - self.at_ns).max(0) as f64, OF_TARGET * target_bytes_s);
-        let (bytes, most) = (bytes as f64, SAVED_S * rate);
+        let (bytes, most_saved) = (bytes as f64, SAVED_S * rate);
         self.at_ns = now_ns;
         self.sent = self.sent * (-elapsed_ns / MEMORY_NS).exp() + bytes;
-        self.bytes = (self.bytes + elapsed_ns * 1e-9 * rate).min(most) - bytes;
-        let is_half = 2.0 * self.sent <= rate * MEMORY_NS * 1e-9;
-        let has_room = is_half && self.bytes >= bytes;
-        if has_room {
-            self.bytes -= bytes;
-        }
+        self.bytes = (self.bytes + elapsed_ns * 1e-9 * rate).min(most_saved) - bytes;
+        let fit = |copies: f64| {
+            (1.0 + copies) * self.sent <= rate * MEMORY_NS * 1e-9 && self.bytes >= copies * bytes
+        };
+        let copies = (1..=most).rev().find(|copies| fit(f64::from(*copies))).unwrap_or(0);
+        self.bytes -= f64::from(copies) * bytes;
         // What is sent beyond the target is made up for within the same time.
-        self.bytes = self.bytes.max(-most);
-        has_room
+        self.bytes = self.bytes.max(-most_saved);
+        copies
     }
 }
 
@@ -138,9 +144,11 @@ impl Repeats {
         let (bytes, packets) = (transmit.bytes.len(), transmit.datagrams().count() as u64);
         let is_urgent = self.urgent > 0;
         self.urgent = self.urgent.saturating_sub(packets);
-        let has_room = target_bytes_s.is_some_and(|target| self.spare.take(now_ns, bytes, target));
-        if has_room && self.loss.is_lossy(now_ns) && self.waiting_bytes + bytes <= MAX_WAITING_BYTES {
-            self.wait(Again { at_ns: now_ns + DELAY_NS, transmit: transmit.clone(), is_urgent });
+        let most = if self.loss.is_very_lossy() { 2 } else { 1 };
+        let copies = target_bytes_s.map_or(0, |target| self.spare.take(now_ns, bytes, target, most));
+        if copies > 0 && self.loss.is_lossy(now_ns) && self.waiting_bytes + bytes <= MAX_WAITING_BYTES {
+            let (at_ns, has_another) = (now_ns + DELAY_NS, is_urgent || copies > 1);
+            self.wait(Again { at_ns, transmit: transmit.clone(), has_another });
         }
     }
 
@@ -156,11 +164,11 @@ impl Repeats {
 
     /// The next copy that leaves at `now_ns` or has to have left.
     pub(crate) fn take_due(&mut self, now_ns: i64) -> Option<Transmit> {
-        let Again { transmit, is_urgent, .. } = self.waiting.pop_front_if(|copy| copy.at_ns <= now_ns)?;
+        let Again { transmit, has_another, .. } = self.waiting.pop_front_if(|copy| copy.at_ns <= now_ns)?;
         self.waiting_bytes -= transmit.bytes.len();
         self.repeated_bytes += transmit.bytes.len() as u64;
-        if is_urgent {
-            self.wait(Again { at_ns: now_ns + DELAY_NS, transmit: transmit.clone(), is_urgent: false });
+        if has_another {
+            self.wait(Again { at_ns: now_ns + DELAY_NS, transmit: transmit.clone(), has_another: false });
         }
         Some(transmit)
     }

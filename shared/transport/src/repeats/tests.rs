@@ -31,6 +31,18 @@ fn a_path_that_loses_one_in_a_hundred_has_its_packets_twice() {
 }
 
 #[test]
+fn a_path_that_loses_one_in_twenty_has_its_packets_three_times_where_there_is_room() {
+    let (sent, copies) = play(&mut Repeats::default(), 5000, 20, Some(8e6));
+    assert!(copies as f64 > 1.8 * sent as f64 && copies as f64 <= 2.2 * sent as f64, "{copies} of {sent}");
+    for target in [3.5e6, 4.0e6] {
+        let (sent, copies) = play(&mut Repeats::default(), 5000, 20, Some(target));
+        let bytes_s = ((sent + copies) as usize * PACKET_BYTES) as f64 / 5.0;
+        assert!(copies as f64 > 0.9 * sent as f64, "{copies} of {sent}");
+        assert!(bytes_s <= OF_TARGET * target * 1.05, "{bytes_s} of {target}");
+    }
+}
+
+#[test]
 fn a_path_that_loses_one_in_a_thousand_has_none_twice() {
     assert_eq!(play(&mut Repeats::default(), 5000, 1000, TARGET_BYTES_S).1, 0);
 }
