@@ -125,14 +125,7 @@ impl Bench {
             ..GraphicsPipelineDesc::new(&CLIENT_ATLAS_VERT, &BENCH_ATLAS_FRAG, &self.targets.pass)
         };
         let pipeline = GraphicsPipeline::new(&self.gpu, &desc)?;
-        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let sampler = SamplerDesc {
-            filter: vk::Filter::LINEAR,
-            wrap: [edge; 2],
-            mips: false,
-            mip_bias: 0.0,
-            anisotropy: 1.0,
-        };
+        let sampler = SamplerDesc::clamped(vk::Filter::LINEAR);
         let sampler = Sampler::new(&self.gpu, sampler)?;
         let mut binds = vec![
             ("Corners", Bind::Buffer(&way.bundle.corners)),

@@ -91,14 +91,7 @@ impl Bench {
         let store = Store::new(&gpu, &mut recorder, 0)?;
         gpu.wait(recorder.submit()?)?;
         let [eyes, ..] = device::eyes_in_clip_space(&gpu)?;
-        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let sampler = SamplerDesc {
-            filter: vk::Filter::LINEAR,
-            wrap: [edge; 2],
-            mips: false,
-            mip_bias: 0.0,
-            anisotropy: 1.0,
-        };
+        let sampler = SamplerDesc::clamped(vk::Filter::LINEAR);
         let sampler = Sampler::new(&gpu, sampler)?;
         let local = |name, bytes: &[u8]| Buffer::device_local(&gpu, name, bytes);
         let kept = vec![

@@ -53,8 +53,7 @@ impl Present {
             let desc = GraphicsPipelineDesc::new(&PRESENT_VERT, fragment, pass);
             GraphicsPipeline::new(gpu, &GraphicsPipelineDesc { constants, ..desc })
         };
-        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let sampler = SamplerDesc { filter, wrap: [edge; 2], mips: false, mip_bias: 0.0, anisotropy: 1.0 };
+        let sampler = SamplerDesc::clamped(filter);
         let bytes = u64::from(MAX_CELLS[0] * MAX_CELLS[1]) * size_of::<Glyph>() as u64;
         Ok(Self {
             shows,

@@ -162,6 +162,14 @@ pub struct SamplerDesc {
     pub anisotropy: f32,
 }
 
+impl SamplerDesc {
+    /// Of one level, to the edge and no further.
+    pub fn clamped(filter: vk::Filter) -> Self {
+        let wrap = [vk::SamplerAddressMode::CLAMP_TO_EDGE; 2];
+        Self { filter, wrap, mips: false, mip_bias: 0.0, anisotropy: 1.0 }
+    }
+}
+
 /// A sampler.
 pub struct Sampler {
     gpu: Arc<Gpu>,

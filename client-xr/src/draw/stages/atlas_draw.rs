@@ -243,14 +243,7 @@ impl AtlasDraw {
             Reconstruction::Bicubic => (&CLIENT_ATLAS_BICUBIC_FRAG, &CLIENT_ATLAS_MASKED_BICUBIC_FRAG),
         };
         let ways = Ways::new(gpu, pass, [fragment, masked], (has_store, None))?;
-        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let sampler = SamplerDesc {
-            filter: vk::Filter::LINEAR,
-            wrap: [edge; 2],
-            mips: false,
-            mip_bias: 0.0,
-            anisotropy: 1.0,
-        };
+        let sampler = SamplerDesc::clamped(vk::Filter::LINEAR);
         let (sampler, settle) = (Sampler::new(gpu, sampler)?, Settle::new(gpu)?);
         Ok(Self { chroma, has_store, ways, sampler, settle })
     }

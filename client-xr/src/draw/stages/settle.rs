@@ -141,14 +141,7 @@ fn tiles_of(from: Block, to: Block) -> impl Iterator<Item = SettleTileGpu> {
 impl Settle {
     /// The pipelines.
     pub fn new(gpu: &Arc<Gpu>) -> Result<Self, GpuError> {
-        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let sampler = SamplerDesc {
-            filter: vk::Filter::LINEAR,
-            wrap: [edge; 2],
-            mips: true,
-            mip_bias: 0.0,
-            anisotropy: 1.0,
-        };
+        let sampler = SamplerDesc { mips: true, ..SamplerDesc::clamped(vk::Filter::LINEAR) };
         Ok(Self {
             planes: ComputePipeline::new(gpu, &CLIENT_SETTLE_COMP)?,
             mip: ComputePipeline::new(gpu, &CLIENT_SETTLE_MIP_COMP)?,

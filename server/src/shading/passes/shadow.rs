@@ -94,14 +94,7 @@ impl Shadow {
             ("Materials", Bind::Buffer(&scene.materials.buffer)),
             ("textures", Bind::Textures(&textures)),
         ];
-        let edge = vk::SamplerAddressMode::CLAMP_TO_EDGE;
-        let nearest = SamplerDesc {
-            filter: vk::Filter::NEAREST,
-            wrap: [edge; 2],
-            mips: false,
-            mip_bias: 0.0,
-            anisotropy: 1.0,
-        };
+        let nearest = SamplerDesc::clamped(vk::Filter::NEAREST);
         Ok(Self {
             group: BindGroup::new(geometry.layout(), &binds)?,
             target: Framebuffer::new(gpu, &pass, [side; 2], &[map.view()])?,

@@ -46,11 +46,5 @@ impl Mark {
 
 /// For images that are read texel by texel.
 pub(crate) fn nearest() -> SamplerDesc {
-    SamplerDesc {
-        filter: vk::Filter::NEAREST,
-        wrap: [vk::SamplerAddressMode::CLAMP_TO_EDGE; 2],
-        mips: false,
-        mip_bias: 0.0,
-        anisotropy: 1.0,
-    }
+    SamplerDesc::clamped(vk::Filter::NEAREST)
 }

@@ -1,7 +1,7 @@
 //! A still head that suddenly moves at full speed, in a room full of unseen geometry: the share of holes meanwhile, and the
 //! time until the picture is whole again.
 
-use super::run::{into_probe, mock_config};
+use super::run::{comparer, into_probe, mock_config};
 use crate::image::Rgb8Image;
 use crate::measure::compare::{Comparer, Shown};
 use crate::session::options::{Head, RunOptions};
@@ -77,12 +77,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<AbruptReport> {
     let config = MockConfig { seconds: 0.0, ..mock_config(&options, ClockKind::Virtual, 1)? };
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(&options, &config) }?;
-    let mut comparer = Comparer::with_places(
-        &lab.server.gpu,
-        &lab.server.scene,
-        options.extent_pixels,
-        options.truth_places,
-    )?;
+    let mut comparer = comparer(&lab.server, &options)?;
     let mut report = AbruptReport::default();
     let mut still = Vec::new();
     let mut first_ns = None;

@@ -3,7 +3,7 @@
 //! Display frames with a new update are divided by LOD changes of an instance. The change of the picture beyond the truth's
 //! change is the visible part of the switch. The other updates give the level without a switch.
 
-use super::run::{into_probe, mock_config};
+use super::run::{comparer, into_probe, mock_config};
 use crate::image::Rgb8Image;
 use crate::measure::compare::{Comparer, Shown};
 use crate::measure::flip::{flip_map, pixels_per_degree};
@@ -121,12 +121,7 @@ pub fn measure(options: &RunOptions) -> anyhow::Result<DetailReport> {
     let config = mock_config(options, ClockKind::Virtual, 1)?;
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(options, &config) }?;
-    let comparer = Comparer::with_places(
-        &lab.server.gpu,
-        &lab.server.scene,
-        options.extent_pixels,
-        options.truth_places,
-    )?;
+    let comparer = comparer(&lab.server, options)?;
     let mut watch = Watch { report: DetailReport::default(), comparer, last: None };
     while let Step::Frame(frame) = lab.step()? {
         let Some(update) = frame.update else { continue };

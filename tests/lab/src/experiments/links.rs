@@ -3,7 +3,7 @@
 //!
 //! A run's options enter; their link is replaced. A table leaves.
 
-use super::run::{self, clear, compare, into_probe, mock_config};
+use super::run::{self, clear, compare, comparer, into_probe, mock_config};
 use crate::measure::compare::Comparer;
 use crate::measure::percentiles::median;
 use crate::report::stats::Summary;
@@ -445,12 +445,7 @@ struct Pictures {
 impl Pictures {
     /// Of a run that is captured into a folder.
     fn new(lab: &Lab, options: &RunOptions, capture: PathBuf) -> Result<Self> {
-        let comparer = Comparer::with_places(
-            &lab.server.gpu,
-            &lab.server.scene,
-            options.extent_pixels,
-            options.truth_places,
-        )?;
+        let comparer = comparer(&lab.server, options)?;
         Ok(Self { capture, comparer })
     }
 

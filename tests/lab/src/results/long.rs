@@ -83,7 +83,7 @@ const SLOW_LINK_SECONDS: f64 = 25.0;
 /// Seconds of each run that says what a part of the picture costs, and rounds of all of them.
 const COST_SECONDS: f64 = 1.2;
 const COST_ROUNDS: usize = 3;
-/// Devices whose updates take 250, 700 and 1,000 ms.
+/// Devices whose updates take 33, 100, 250, 700 and 1,000 ms.
 const SLOW_STAGES: StageMs =
     StageMs { server: 100.0 / 3.0, encode: 8.0 / 3.0, decode: 4.0 / 3.0, steps: None };
 const SLOWER: [f64; 5] = [1.0, 3.0, 7.5, 21.0, 30.0];

@@ -1,7 +1,7 @@
 //! `shadecast-lab run --renderer forward`: the truth's pictures at the poses and display times of another renderer. Nothing is
 //! compared: there is no second picture.
 
-use super::{Report, progress};
+use super::{Report, comparer, progress};
 use crate::image::Rgb8Image;
 use crate::measure::compare::Comparer;
 use crate::report::stats::{Counted, Summary};
@@ -21,8 +21,7 @@ use shadecast_protocol::pose::{Fov, Pose};
 /// No device, or a file.
 pub fn run(options: &RunOptions, config: &MockConfig) -> anyhow::Result<Report> {
     let server = Server::new(options)?;
-    let mut comparer =
-        Comparer::with_places(&server.gpu, &server.scene, options.extent_pixels, options.truth_places)?;
+    let mut comparer = comparer(&server, options)?;
     let path = config.head_path.as_ref().context("a run has a head path")?;
     let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
     let head = HeadPath::parse(&text, &path.display().to_string())?;

@@ -13,7 +13,7 @@ use crate::report::stats::{Counted, MbitPerS, Stats, Summary, messages_of_both};
 use crate::session::options::{Head, Renderer, RunOptions};
 use crate::session::runtime::BUILT_IN_WALK;
 use crate::session::seat::Sent;
-use crate::session::{Lab, SERVER_EPOCH_NS, START_NS};
+use crate::session::{Lab, SERVER_EPOCH_NS, START_NS, Server};
 use anyhow::{Context, ensure};
 use indicatif::{ProgressBar, ProgressStyle};
 use shadecast_client::client::Step;
@@ -126,6 +126,11 @@ fn head_path_csv(path: &HeadPath, seconds: f64, refresh_hz: f64) -> String {
     text
 }
 
+/// What compares with the truth as a run's options say.
+pub(crate) fn comparer(server: &Server, options: &RunOptions) -> anyhow::Result<Comparer> {
+    Comparer::with_places(&server.gpu, &server.scene, options.extent_pixels, options.truth_places)
+}
+
 /// Runs and measures; writes `stats.json`, the contact sheet and the dumped pictures into `options.out`. The forward renderer
 /// writes its pictures alone.
 ///
@@ -148,12 +153,7 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     // SAFETY: this is called from the main thread of the program, or from tests that hold the lab's lock, before the
     // client's threads start.
     let mut lab = unsafe { Lab::open(options, &config) }?;
-    let comparer = Comparer::with_places(
-        &lab.server.gpu,
-        &lab.server.scene,
-        options.extent_pixels,
-        options.truth_places,
-    )?;
+    let comparer = comparer(&lab.server, options)?;
     let mut comparer = comparer.with_true_outlines(options.spared.outlines);
     let mut run = Run {
         options,
