@@ -53,7 +53,7 @@ pub struct Layout {
     /// The part of what a block is to have that it has at first.
     new_part: f32,
     /// Texels at most of the blocks that grow with an update, when it is their turn.
-    most_grown_texels: u64,
+    most_resized_texels: u64,
     /// Of those, the part that blocks are to have.
     pressure: Pressure<DensityStep>,
     /// Part of the atlas that blocks take when all have had their turn.
@@ -131,7 +131,7 @@ impl Layout {
             served: Vec::new(),
             asked: 1.0,
             new_part: 1.0,
-            most_grown_texels: u64::MAX,
+            most_resized_texels: u64::MAX,
             pressure: Pressure::new(DensityStep(1.0)),
             settled_share: 0.0,
             overflow_share: 1.0,
@@ -173,9 +173,9 @@ impl Layout {
         self.new_part = part;
     }
 
-    /// Blocks that grow when it is their turn have so many texels with an update at most, or are one.
-    pub(crate) fn grow_by(&mut self, most_texels: u64) {
-        self.most_grown_texels = most_texels;
+    /// Blocks that change when it is their turn have so many texels with an update at most, or are one.
+    pub(crate) fn resize_by(&mut self, most_texels: u64) {
+        self.most_resized_texels = most_texels;
     }
 
     /// Takes in what this update's views show; of several visibility passes the last counts.
@@ -324,7 +324,7 @@ impl Layout {
         let turns = self.turns();
         let (mut chosen, mut sizes) =
             (std::mem::take(&mut self.scratch.chosen), std::mem::take(&mut self.scratch.sizes));
-        let are_all = have_their_turn(&turns, self.most_grown_texels, &mut chosen);
+        let are_all = have_their_turn(&turns, self.most_resized_texels, &mut chosen);
         let mut have_turn = chosen.iter().peekable();
         let mut has_turn = |turn: &Turn| have_turn.next_if(|chosen| chosen.patch == turn.patch).is_some();
         sizes.clear();

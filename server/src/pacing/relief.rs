@@ -32,7 +32,8 @@ const LATER_PART: f64 = 0.1;
 const TRY_EVERY_UPDATES: u32 = 8;
 const FIRST_TRY_UPDATE: u32 = 24;
 /// See [`Measure::expected_worth`].
-const EXPECTED_WORTH: f64 = 0.25;
+const EXPECTED_WORTH_OF_ONE_TIME: f64 = 0.35;
+const EXPECTED_WORTH_OF_LODS: f64 = 0.45;
 /// A measure must save this part of an update's time.
 const LEAST_WORTH: f64 = 0.04;
 /// A rehearsal's update is of few pixels: one that takes this part of what is allowed says that a viewer's will take more than that.
@@ -46,6 +47,8 @@ const FIRST_WAIT_UPDATES: u32 = 15;
 const LONGEST_WAIT_UPDATES: u32 = 960;
 /// The part of the texels that are shaded again where that is a measure.
 const LESS_SHADING: u64 = 3;
+/// The part of them that blocks of another size are on a slow device.
+const RESIZED_PART: u64 = 4;
 /// A measure without worth is tried again after so many updates.
 const FORGET_UPDATES: u32 = 600;
 
@@ -93,9 +96,13 @@ impl Measure {
     }
 
     /// The part of an update's time that it is taken to save until it was tried. One that has such is not given up just to see: with other
-    /// levels of detail all blocks are new, and again after.
+    /// levels of detail all blocks are new, and again after; at three times an update takes half as long again.
     fn expected_worth(self) -> Option<f64> {
-        matches!(self, Self::TwiceTheError | Self::FourTimesTheError).then_some(EXPECTED_WORTH)
+        match self {
+            Self::OneTime => Some(EXPECTED_WORTH_OF_ONE_TIME),
+            Self::TwiceTheError | Self::FourTimesTheError => Some(EXPECTED_WORTH_OF_LODS),
+            _ => None,
+        }
     }
 
     /// Updates until it is in force, or given up, for all that is shown.
@@ -135,6 +142,12 @@ impl Measures {
     pub(crate) fn shaded_again(self, most_texels: u64) -> u64 {
         let is_less = self.has(Measure::LessShading) && most_texels != u64::MAX;
         if is_less { most_texels / LESS_SHADING } else { most_texels }
+    }
+
+    /// How many texels the blocks have together that are given another size in turn: on a slow device a part of what is shaded again,
+    /// whether or not that is less. More is allowed the slower updates are, and new sizes make them slower.
+    pub(crate) fn resized(self, most_texels: u64) -> u64 {
+        if self.are_some() { most_texels / RESIZED_PART } else { u64::MAX }
     }
 
     /// Whether a measure is in force.
@@ -382,7 +395,7 @@ mod tests {
         assert_eq!(after(&mut slow(), 300, 1.0, SAVES), [true; 8]);
         let some = [0.1, 0.0, 0.3, 0.1, 0.1, 0.0, 0.0, 0.2];
         assert_eq!(after(&mut slow(), 400, 1.0, some), [true, false, true, true, true, false, false, true]);
-        assert_eq!(after(&mut slow(), 1000, 0.08, SAVES), [false; 8], "it was not slow after all");
+        assert_eq!(after(&mut slow(), 1000, 0.05, SAVES), [false; 8], "it was not slow after all");
     }
 
     #[test]

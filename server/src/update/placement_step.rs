@@ -104,14 +104,10 @@ impl PlacementStep {
         self.spare = spare;
     }
 
-    /// Texels that an update may shade from now on, beside new blocks. On a slow device, blocks that grow have no more than these:
+    /// Texels that an update may shade from now on, beside new blocks. On a slow device, blocks with another size have a part of these:
     /// a large one is as many texels as thousands of small ones.
     pub(crate) fn set_shading_budget(&mut self, texels: u64) {
-        self.layout.grow_by(if self.measures.are_some() {
-            self.measures.shaded_again(texels)
-        } else {
-            u64::MAX
-        });
+        self.layout.resize_by(self.measures.resized(texels));
     }
 
     /// What updates do without from now on.
