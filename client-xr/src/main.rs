@@ -10,7 +10,6 @@ use shadecast_client::display::{Display, DisplayError};
 use shadecast_client::draw::stages::atlas_draw::{Lookup, Reconstruction};
 use shadecast_client::draw::stages::interpolate::Interpolation;
 use shadecast_client::net::{self, RunOptions};
-use shadecast_client::options::DEFAULT_STORE_PAGES;
 use shadecast_client::platform::Platform;
 use shadecast_client::present::presenter::Presenter;
 use shadecast_client::present::stats::ClientStats;
@@ -90,9 +89,9 @@ struct Arguments {
     /// MSAA samples; 2 falls back to 4 where unsupported [default: 4, and 1 without a GPU]
     #[arg(long, value_name = "SAMPLES", value_parser = ["1", "2", "4"])]
     msaa: Option<String>,
-    /// Pages of settled blocks kept on the device, 22 MB each; 0 keeps none. Saves bits where little changes
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_STORE_PAGES, value_parser = clap::value_parser!(u32).range(..=i64::from(MAX_STORE_PAGES)))]
-    store_pages: u32,
+    /// Pages of settled blocks kept on the device, 22 MB each [default: 6, and none without a GPU]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u32).range(..=i64::from(MAX_STORE_PAGES)))]
+    store_pages: Option<u32>,
     /// Requested refresh rate; the nearest offered rate is used [default: chosen by the runtime]
     #[arg(long, value_name = "HZ", conflicts_with = "window", value_parser = number(1.0_f32..=1000.0, "frames a second"))]
     refresh: Option<f32>,

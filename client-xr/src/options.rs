@@ -4,6 +4,7 @@ use crate::decode::decoding::DecodeTiming;
 use crate::draw::stages::atlas_draw::Lookup;
 use crate::draw::stages::interpolate::Interpolation;
 use crate::platform::{self, MakeDecoder};
+use shadecast_gpu::Gpu;
 use shadecast_protocol::limits::{DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS};
 use shadecast_protocol::message::{Codec, MotionMemory};
 
@@ -30,14 +31,15 @@ pub struct ClientOptions {
     pub max_triangles: u32,
     /// What the client offers to keep to skin by itself.
     pub motion: MotionMemory,
-    /// Pages of settled blocks that the client offers to keep, 22 MB each; 0 is no store.
-    pub store_pages: u32,
+    /// Pages of settled blocks that the client offers to keep, 22 MB each; 0 is no store. `None`: [`USUAL_STORE_PAGES`], and none without
+    /// a GPU.
+    pub store_pages: Option<u32>,
 }
 
 /// Samples per pixel of a device with a GPU, unless another number is asked for.
 pub const USUAL_MSAA: u32 = 4;
-/// Pages of the store, unless another number is asked for: none, until long runs of all scenes have been measured with it.
-pub const DEFAULT_STORE_PAGES: u32 = 0;
+/// Pages of the store of a device with a GPU, unless another number is asked for: 132 MB.
+pub const USUAL_STORE_PAGES: u32 = 6;
 
 impl Default for ClientOptions {
     fn default() -> Self {
@@ -52,7 +54,19 @@ impl Default for ClientOptions {
             max_patch_slots: DEFAULT_PATCH_SLOTS,
             max_triangles: DEFAULT_TRIANGLES,
             motion: MotionMemory::DEFAULT,
-            store_pages: DEFAULT_STORE_PAGES,
+            store_pages: None,
         }
+    }
+}
+
+impl ClientOptions {
+    /// Samples per pixel on a device. Without a GPU each costs as much as a pixel.
+    pub(crate) fn msaa_on(&self, gpu: &Gpu) -> u32 {
+        self.msaa.unwrap_or(if gpu.is_cpu() { 1 } else { USUAL_MSAA })
+    }
+
+    /// Pages of the store on a device. Without a GPU, copies and lookups take the time of updates.
+    pub(crate) fn store_pages_on(&self, gpu: &Gpu) -> u32 {
+        self.store_pages.unwrap_or(if gpu.is_cpu() { 0 } else { USUAL_STORE_PAGES })
     }
 }

@@ -10,7 +10,7 @@ use crate::draw::stages::Stages;
 use crate::draw::stages::background::Backdrop;
 use crate::draw::stages::probe::{EyeView, Probe, ProbeView};
 use crate::draw::stages::text::{Text, panel_ahead};
-use crate::options::{ClientOptions, USUAL_MSAA};
+use crate::options::ClientOptions;
 use crate::report::FrameReport;
 use shadecast_gpu::{Gpu, GpuError, Recorder, Ticket, Timings, vk};
 use shadecast_protocol::pose::Pose;
@@ -58,11 +58,9 @@ pub(crate) struct Words {
 impl Renderer {
     /// On an open display.
     pub(crate) fn new(display: Box<dyn Display>, options: &ClientOptions) -> Result<Self, GpuError> {
-        let ClientOptions { msaa, lookup, store_pages, .. } = *options;
         let gpu = display.gpu().clone();
-        // Without a GPU each sample costs as much as a pixel.
-        let usual = if gpu.is_cpu() { 1 } else { USUAL_MSAA };
-        let samples = samples(msaa.unwrap_or(usual), display.gpu().sample_counts());
+        let samples = samples(options.msaa_on(&gpu), gpu.sample_counts());
+        let has_store = options.store_pages_on(&gpu) > 0;
         let words = Words {
             stage_from_panel: None,
             status: Text::new("Shadecast"),
@@ -73,7 +71,7 @@ impl Renderer {
             stillness: Stillness::default(),
             figures: FiguresPanel::default(),
         };
-        let stages = Stages::new(&gpu, display.eye_images(), samples, (lookup, store_pages > 0))?;
+        let stages = Stages::new(&gpu, display.eye_images(), samples, (options.lookup, has_store))?;
         Ok(Self { stages, probe: None, last_drawn: None, last_ticket: None, gpu, display, words })
     }
 

@@ -133,7 +133,7 @@ impl Intake {
             max_patch_slots: options.max_patch_slots.min(MAX_PATCH_SLOTS),
             max_triangles: options.max_triangles.min(MAX_TRIANGLES),
             motion: options.motion.min(MotionMemory::MAX),
-            store_pages: options.store_pages.min(MAX_STORE_PAGES),
+            store_pages: options.store_pages.unwrap_or(0).min(MAX_STORE_PAGES),
             codecs: options.codecs.to_vec(),
             eyes,
             eye_extent_pixels,

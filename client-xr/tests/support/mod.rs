@@ -84,7 +84,7 @@ impl Run {
             max_triangles: 384,
             motion: MotionMemory::DEFAULT,
             decoder,
-            store_pages,
+            store_pages: Some(store_pages),
             ..ClientOptions::default()
         };
         Client::new(Box::new(xr), options).expect("a client")

@@ -88,7 +88,10 @@ fn reused_blocks_cost_at_most_a_fifth_of_a_decibel() {
     let [reused, all] = [true, false].map(|reuse| {
         let spared =
             Spared { policy: UpdatePolicy { reuse, ..UpdatePolicy::default() }, ..Spared::default() };
-        run(&RunOptions { spared, ..small(walls.clone(), &out.path().join("run")) }).unwrap().stats
+        // A store's copies are reused as well, and err in another way.
+        run(&RunOptions { spared, store_pages: 0, ..small(walls.clone(), &out.path().join("run")) })
+            .unwrap()
+            .stats
     });
     let lost_db = all.psnr_db.zip(reused.psnr_db).map(|(all, reused)| all - reused);
     assert!(lost_db < Some(0.2), "{:?}, {:?}", reused.psnr_db, all.psnr_db);

@@ -2,7 +2,7 @@
 
 use clap::{Args, value_parser};
 use shadecast_client::draw::stages::atlas_draw::Reconstruction;
-use shadecast_client::options::DEFAULT_STORE_PAGES;
+use shadecast_client::options::USUAL_STORE_PAGES;
 use shadecast_desktop::flags::{MOST_S, number, size};
 use shadecast_lab::experiments::run::{self, Report};
 use shadecast_lab::experiments::viewers::run_each;
@@ -92,7 +92,7 @@ pub(super) struct RunArgs {
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]
     room: Room,
     /// Pages that the client offers to keep for blocks that do not change, of 2048x2048 texels; 0: none
-    #[arg(long, value_name = "N", default_value_t = DEFAULT_STORE_PAGES, value_parser = value_parser!(u32).range(0..=i64::from(MAX_STORE_PAGES)))]
+    #[arg(long, value_name = "N", default_value_t = USUAL_STORE_PAGES, value_parser = value_parser!(u32).range(0..=i64::from(MAX_STORE_PAGES)))]
     store_pages: u32,
     /// How the client finds colours between the atlas's texels
     #[arg(long, value_enum, default_value = "bilinear")]

@@ -14,6 +14,8 @@ const SIDE_PIXELS: u32 = 1300;
 /// Of each run, seconds of virtual time: two until texels, bits and clock have settled, and half a round of the path.
 const SECONDS: f64 = 3.0;
 const CAUSES_SECONDS: f64 = 2.5;
+/// Places along a side of each pixel of the truth.
+const TRUTH_PLACES: u32 = 4;
 /// The first display frame that is compared, at 72 a second.
 const COMPARE_FROM: u64 = 144;
 
@@ -69,6 +71,7 @@ fn options(scene: &SceneSource, way: &Way, folder: &Path) -> RunOptions {
         compare_every: COMPARE_EVERY,
         compare_from: COMPARE_FROM,
         surround: DEFAULT_SURROUND,
+        truth_places: TRUTH_PLACES,
         validation: true,
         ..RunOptions::new(scene.clone(), folder.join("run"))
     }

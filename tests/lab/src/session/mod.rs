@@ -382,7 +382,7 @@ impl Lab {
             max_vertex_slots: options.room.vertices,
             max_patch_slots: options.room.patches,
             max_triangles: options.room.triangles,
-            store_pages: options.store_pages,
+            store_pages: Some(options.store_pages),
             lookup: Lookup {
                 reconstruction: options.reconstruction,
                 chroma: options.spared.arrival.chroma(),

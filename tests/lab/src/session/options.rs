@@ -3,7 +3,7 @@
 use super::originals::Arrival;
 use serde::{Deserialize, Serialize};
 use shadecast_client::draw::stages::atlas_draw::Reconstruction;
-use shadecast_client::options::DEFAULT_STORE_PAGES;
+use shadecast_client::options::USUAL_STORE_PAGES;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_protocol::limits::{
     DEFAULT_PATCH_SLOTS, DEFAULT_TRIANGLES, DEFAULT_VERTEX_SLOTS, MAX_PATCH_SLOTS, MAX_TRIANGLES,
@@ -315,7 +315,7 @@ impl RunOptions {
             detail_pixels: DEFAULT_DETAIL_PIXELS,
             surround: 0.0, // what is around costs tests time, and few look there
             room: USUAL_ROOM,
-            store_pages: DEFAULT_STORE_PAGES,
+            store_pages: USUAL_STORE_PAGES,
             shade_texels: None,
             rate_hz: 30.0,
             refresh_hz: 72.0,
