@@ -187,17 +187,17 @@ impl Store {
     }
 
     /// The blocks in view that settle with an update: given with their blocks in the atlas, ascending. Each update goes on where the one
-    /// before had no room. `put` takes each with its place.
+    /// before had no room. They are `most_blocks` at most. `put` takes each with its place.
     pub(crate) fn settle(
         &mut self,
-        update: UpdateId,
+        (update, most_blocks): (UpdateId, usize),
         live: impl Iterator<Item = (ScenePatch, Block)> + Clone,
         mut put: impl FnMut(ScenePatch, Block),
     ) {
         if self.pages.is_empty() {
             return;
         }
-        let mut left_texels = self.atlas_texels / MOST_SETTLED_PART;
+        let (mut left_texels, mut left_blocks) = (self.atlas_texels / MOST_SETTLED_PART, most_blocks);
         let first = std::mem::take(&mut self.next);
         let from_first = live.clone().filter(|(patch, _)| *patch >= first);
         for (patch, block) in from_first.chain(live.filter(|(patch, _)| *patch < first)) {
@@ -207,13 +207,13 @@ impl Store {
             if shaded == 0 || update.0 < shaded - 1 + after || self.copies.contains_key(&patch) {
                 continue;
             }
-            if texels > left_texels {
+            if texels > left_texels || left_blocks == 0 {
                 self.next = if self.next == ScenePatch(0) { patch } else { self.next };
                 continue;
             }
             let Some(qp) = self.finest_qp_since(UpdateId(shaded - 1)) else { continue };
             let Some(to) = self.take(block.size, update) else { break };
-            left_texels -= texels;
+            (left_texels, left_blocks) = (left_texels - texels, left_blocks - 1);
             self.copies.insert(patch, Copy { block: to, settled: update, shown: update, qp });
             put(patch, to);
         }

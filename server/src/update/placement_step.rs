@@ -64,6 +64,9 @@ struct Lists {
 const FEWER_TEXELS: f32 = std::f32::consts::FRAC_1_SQRT_2;
 /// On a slow device new blocks begin with this part of the texels for a pixel: else many that come at once take long.
 const NEW_PART: f32 = 0.35;
+/// Of the bytes of geometry that an update may take, the part that blocks which settle may, and about what each takes.
+const SETTLED_PART: usize = 8;
+const SETTLED_BYTES: usize = 7;
 /// On a slow device LODs change with an update for this part of what is seen, and for the instance that makes it so much.
 const SWITCHED_PART: u64 = 16;
 /// Part of what is seen that may be missing until the next update, before coarser LODs are shown.
@@ -290,7 +293,7 @@ impl PlacementStep {
         delta
     }
 
-    /// Lets blocks settle whose surfaces neither move nor are cut out.
+    /// Lets blocks settle whose surfaces neither move nor are cut out. A slow link has few bytes for that: they would delay what is new.
     fn settle(&mut self, world: &World, update: UpdateId, delta: &mut UpdateDelta) {
         let (geometry, residency) = (world.samples(), &self.residency);
         let stands = |patch: ScenePatch| {
@@ -302,7 +305,8 @@ impl PlacementStep {
         let put = |patch, to, pixel| {
             settled.extend(residency.slot_with_block(patch).map(|slot| Settled { slot, to, pixel }));
         };
-        self.layout.settle(update, may, put);
+        let most_blocks = residency.budget_bytes() / SETTLED_PART / SETTLED_BYTES;
+        self.layout.settle((update, most_blocks), may, put);
         settled.sort_unstable_by_key(|settled| settled.slot);
     }
 

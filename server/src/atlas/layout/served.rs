@@ -50,9 +50,10 @@ impl Layout {
     }
 
     /// The blocks that settle with an update, of those in view that may: each patch with its place in the store, and what it is filtered for.
+    /// They are `most_blocks` at most.
     pub(crate) fn settle(
         &mut self,
-        update: UpdateId,
+        (update, most_blocks): (UpdateId, usize),
         may: impl Fn(ScenePatch) -> bool,
         mut put: impl FnMut(ScenePatch, Block, PixelTexels),
     ) {
@@ -60,7 +61,7 @@ impl Layout {
         let with_pixel =
             |patch: ScenePatch, block: Block| put(patch, block, states[patch.index()].pixel(block));
         let in_atlas = live.iter().filter_map(|patch| Some((*patch, states[patch.index()].block?)));
-        store.settle(update, in_atlas.filter(|(patch, _)| may(*patch)), with_pixel);
+        store.settle((update, most_blocks), in_atlas.filter(|(patch, _)| may(*patch)), with_pixel);
     }
 
     /// All that has a block in the atlas or in the store, shown or not, ascending.

@@ -13,9 +13,19 @@ fn block(number: u32, log2: u8) -> Block {
 
 /// All that settle with an update, of patches that have blocks of this size.
 fn settled(store: &mut Store, update: u32, patches: std::ops::Range<u32>, log2: u8) -> Vec<(u32, Block)> {
+    few_settled(store, (update, usize::MAX), patches, log2)
+}
+
+/// The same of so many blocks at most.
+fn few_settled(
+    store: &mut Store,
+    (update, most_blocks): (u32, usize),
+    patches: std::ops::Range<u32>,
+    log2: u8,
+) -> Vec<(u32, Block)> {
     let mut settled = Vec::new();
     let live = patches.map(|patch| (ScenePatch(patch), block(patch, log2)));
-    store.settle(UpdateId(update), live, |patch, to| settled.push((patch.0, to)));
+    store.settle((UpdateId(update), most_blocks), live, |patch, to| settled.push((patch.0, to)));
     settled
 }
 
@@ -42,6 +52,16 @@ fn a_block_settles_when_it_has_not_changed_and_is_shown_from_the_next_update_on(
     assert_eq!(serves(&mut store, 1, now + 1), Some(copies[1].1));
     assert!(settled(&mut store, now + 1, 0..3, 4).is_empty(), "each once");
     assert!(settled(&mut store, now + 1, 7..8, 4).is_empty(), "it was never shaded");
+}
+
+#[test]
+fn of_many_blocks_few_settle_at_a_time_until_all_have() {
+    let mut store = store(1);
+    shade(&mut store, 0..7, 10);
+    let now = 10 + SETTLES_AFTER_UPDATES;
+    let turns = [3, 0, 3, 3].map(|most| few_settled(&mut store, (now, most), 0..7, 4));
+    let patches = turns.map(|turn| turn.iter().map(|(patch, _)| *patch).collect::<Vec<_>>());
+    assert_eq!(patches, [vec![0, 1, 2], vec![], vec![3, 4, 5], vec![6]]);
 }
 
 #[test]
