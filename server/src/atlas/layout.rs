@@ -52,7 +52,7 @@ pub struct Layout {
     asked: f32,
     /// The part of what a block is to have that it has at first.
     new_part: f32,
-    /// Texels at most of the blocks that grow with an update, when it is their turn.
+    /// Texels at most of the blocks that change with an update, when it is their turn.
     most_resized_texels: u64,
     /// Of those, the part that blocks are to have.
     pressure: Pressure<DensityStep>,

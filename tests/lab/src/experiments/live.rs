@@ -104,7 +104,7 @@ impl fmt::Display for Live {
         writeln!(f, "{}, {width}x{height} pixels an eye, {}", self.scene, self.device)?;
         writeln!(
             f,
-            "first picture {:.2} s after the first update began, {:.2} s after the client's start; {:.2} % of it missing",
+            "The first picture came {:.2} s after the first update began, {:.2} s after the client's start. {:.2} % of it was missing.",
             self.first_picture_s,
             self.after_client_start_s,
             100.0 * self.first_holes
@@ -133,12 +133,12 @@ impl fmt::Display for Live {
         {
             writeln!(
                 f,
-                "from {SHARP_AFTER_S} s on LODs err by {error_pixels:.2} pixels at most, with {texels:.2} texels a pixel at least"
+                "From {SHARP_AFTER_S} s on LODs err by {error_pixels:.2} pixels at most. Blocks have {texels:.2} texels a pixel at least."
             )?;
         }
         writeln!(
             f,
-            "each second at least {} updates (mean {:.1}) and {} frames; holes {:.2} % at most, mean {:.2} %; animated ones, mean {:.2} %",
+            "Each second has {} updates (mean {:.1}) and {} frames at least. Holes are {:.2} % at most, mean {:.2} %. Animated ones are {:.2} % in the mean.",
             self.least_updates,
             self.mean_updates,
             self.least_frames,
