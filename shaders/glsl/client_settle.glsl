@@ -35,4 +35,19 @@ uint highest_level(SettleTileGpu tile) {
     return tile.shape >> 23 & 7;
 }
 
+// Light as the store keeps it: nine bits a channel, five of a common exponent ("Shared Exponent to RGB" in Vulkan's specification).
+// Components from 0 to 1. Twin: packed_light.
+uint packed_light(vec3 light) {
+    float largest = max(max(light.r, max(light.g, light.b)), exp2(-16.0));
+    uint exponent = (floatBitsToUint(largest) >> 23) - 111;
+    if (round(largest * exp2(24.0 - float(exponent))) == 512.0) ++exponent;
+    uvec3 mantissas = uvec3(round(light * exp2(24.0 - float(exponent))));
+    return mantissas.r | mantissas.g << 9 | mantissas.b << 18 | exponent << 27;
+}
+
+vec3 unpacked_light(uint word) {
+    uvec3 mantissas = uvec3(word, word >> 9, word >> 18) & 511;
+    return vec3(mantissas) * exp2(float(word >> 27) - 24.0);
+}
+
 #endif

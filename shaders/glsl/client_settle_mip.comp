@@ -4,13 +4,12 @@
 // Twin: twin/settle.rs.
 layout(local_size_x = 64) in;
 #include "client_settle.glsl"
-#include "environment.glsl"
 
-layout(binding = 1, rgba8) writeonly uniform image2DArray written;
-layout(binding = 2, rgba8) readonly uniform image2DArray finer;
+layout(binding = 1, r32ui) writeonly uniform uimage2DArray written;
+layout(binding = 2, r32ui) readonly uniform uimage2DArray finer;
 
 vec3 light_at(ivec3 place) {
-    return linear_from_srgb(imageLoad(finer, place).rgb);
+    return unpacked_light(imageLoad(finer, place).r);
 }
 
 void main() {
@@ -21,5 +20,5 @@ void main() {
     if (level > highest_level(tile) || !is_inside) return;
     ivec3 place = ivec3((texel_of(tile.to) >> level) + at, layer_of(tile)), first = place * ivec3(2, 2, 1);
     vec3 sum = light_at(first) + light_at(first + ivec3(1, 0, 0)) + light_at(first + ivec3(0, 1, 0)) + light_at(first + ivec3(1, 1, 0));
-    imageStore(written, place, vec4(srgb_from_linear(sum * 0.25), 1.0));
+    imageStore(written, place, uvec4(packed_light(sum * 0.25)));
 }

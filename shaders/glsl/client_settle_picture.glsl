@@ -1,9 +1,9 @@
-// Copies blocks of a picture to the store's finest level: the colour in each texel's middle. Chroma comes from inside the block,
+// Copies blocks of a picture to the store's finest level: the light in each texel's middle. Chroma comes from inside the block,
 // where lookups in the atlas stay too.
 #include "environment.glsl"
 #include "client_settle.glsl"
 
-layout(binding = 1, rgba8) writeonly uniform image2DArray written;
+layout(binding = 1, r32ui) writeonly uniform uimage2DArray written;
 
 // The shader's own.
 vec3 picture_rgb(vec2 at, vec2 chroma_at);
@@ -12,7 +12,8 @@ void copy_texel(SettleTileGpu tile, uvec2 at) {
     vec2 first = vec2(texel_of(tile.from)), end = first + vec2(block_extent(tile));
     vec2 middle = first + vec2(at) + 0.5;
     vec3 rgb = picture_rgb(middle, clamp(middle, first + BLOCK_INSET_TEXELS, end - BLOCK_INSET_TEXELS));
-    imageStore(written, ivec3(texel_of(tile.to) + at, layer_of(tile)), vec4(clamp(rgb, 0.0, 1.0), 1.0));
+    uint light = packed_light(linear_from_srgb(clamp(rgb, 0.0, 1.0)));
+    imageStore(written, ivec3(texel_of(tile.to) + at, layer_of(tile)), uvec4(light));
 }
 
 void main() {

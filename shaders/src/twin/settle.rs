@@ -1,13 +1,13 @@
 //! Twin of `client_settle.comp` and `client_settle_mip.comp`: a block of a picture, and its mip levels, as the store keeps them.
 
 use super::atlas_lookup::{Plane, inside_block};
-use crate::color::{linear_from_srgb, srgb_from_linear};
+use crate::color::linear_from_srgb;
 use crate::constants::STORE_LEVELS;
-use glam::{Vec2, Vec3};
+use glam::{UVec3, Vec2, Vec3};
 use shadecast_protocol::atlas::Block;
 use shadecast_protocol::picture::I420;
 
-/// Red, green and blue by texel of a level of a block, gamma-encoded, rows from the top.
+/// Linear red, green and blue by texel of a level of a block, from 0 to 1, rows from the top. Not rounded as [`packed_light`] does.
 pub type LevelTexels = Vec<Vec3>;
 
 /// The levels of a block of `picture` that lies at `to` in the store, the finest first.
@@ -27,6 +27,22 @@ pub fn highest_level(block: Block) -> u32 {
     bits.trailing_zeros().min(STORE_LEVELS - 1)
 }
 
+/// Light as the store keeps it: nine bits a channel, five of a common exponent. Components from 0 to 1.
+pub fn packed_light(light: Vec3) -> u32 {
+    let largest = light.max_element().max(2f32.powi(-16));
+    let of_largest = (largest.to_bits() >> 23) - 111;
+    let scale = |exponent: u32| (24.0 - exponent as f32).exp2();
+    let exponent = of_largest + u32::from((largest * scale(of_largest)).round() == 512.0);
+    let [r, g, b] = (light * scale(exponent)).round().as_uvec3().to_array();
+    r | g << 9 | b << 18 | exponent << 27
+}
+
+/// The inverse: a multiple of the second, which is the step between two values, linear.
+pub fn unpacked_light(word: u32) -> (Vec3, f32) {
+    let step = ((word >> 27) as f32 - 24.0).exp2();
+    (UVec3::new(word & 511, word >> 9 & 511, word >> 18 & 511).as_vec3() * step, step)
+}
+
 fn finest(picture: &I420, from: Block) -> LevelTexels {
     let [width, height] = picture.extent_texels().map(|side| side as usize);
     let plane = |plane: &[u8], width| Plane {
@@ -43,7 +59,7 @@ fn finest(picture: &I420, from: Block) -> LevelTexels {
         let middle = Vec2::new(x as f32, y as f32) + 0.5;
         let of_chroma = inside_block(middle, rect.map(|side| side as f32)) * 0.5;
         let ycbcr = [luma.linear(middle), cb.linear(of_chroma), cr.linear(of_chroma)];
-        rgb_from_ycbcr(ycbcr).clamp(Vec3::ZERO, Vec3::ONE)
+        rgb_from_ycbcr(ycbcr).clamp(Vec3::ZERO, Vec3::ONE).map(linear_from_srgb)
     };
     (0..from.size.texels()).map(texel).collect()
 }
@@ -52,8 +68,7 @@ fn coarser(finer: &[Vec3], width: usize) -> LevelTexels {
     let rows = finer.chunks_exact(2 * width);
     let mean = |two_rows: &[Vec3], x: usize| {
         let [a, b] = [2 * x, 2 * x + width];
-        let light = [a, a + 1, b, b + 1].map(|at| two_rows[at].map(linear_from_srgb));
-        (light.into_iter().sum::<Vec3>() * 0.25).map(srgb_from_linear)
+        [a, a + 1, b, b + 1].into_iter().map(|at| two_rows[at]).sum::<Vec3>() * 0.25
     };
     rows.flat_map(|two_rows| (0..width / 2).map(move |x| mean(two_rows, x))).collect()
 }
@@ -82,8 +97,26 @@ mod tests {
         assert_eq!(levels.iter().map(Vec::len).collect::<Vec<_>>(), [512, 128, 32, 8, 2]);
         let expected = Vec3::new(200.0, 40.0, 90.0);
         for texel in levels.concat() {
+            let texel = texel.map(color::srgb_from_linear);
             assert!((texel * 255.0 - expected).abs().max_element() < 2.0, "{texel}");
         }
+    }
+
+    #[test]
+    fn packed_light_is_the_nearest_that_nine_bits_of_the_largest_channel_tell() {
+        let channel = (0..=64).map(|step| (f32::from(step as u8) / 64.0).powi(4));
+        let channels: Vec<f32> = channel.chain([511.4 / 512.0, 511.6 / 512.0, 1e-7]).collect();
+        let all = channels.iter().flat_map(|r| channels.iter().map(move |g| [*r, *g]));
+        for (place, [r, g]) in all.enumerate() {
+            let light = Vec3::new(r, g, channels[place * 7 % channels.len()]);
+            let (unpacked, step) = unpacked_light(packed_light(light));
+            assert!((unpacked - light).abs().max_element() <= 0.5 * step, "{light} became {unpacked}");
+            assert!(step <= (light.max_element() / 255.5).max(2f32.powi(-24)), "{light}: {step}");
+        }
+        assert_eq!(
+            [0.0, 1.0].map(|grey| unpacked_light(packed_light(Vec3::splat(grey))).0),
+            [Vec3::ZERO, Vec3::ONE]
+        );
     }
 
     #[test]

@@ -16,10 +16,10 @@ use shadecast_shaders::generated::{
 };
 use std::sync::Arc;
 
-/// Red, green and blue, gamma-encoded as in the picture.
-const FORMAT: vk::Format = vk::Format::R8G8B8A8_UNORM;
-/// The same for lookups, which are between linear values: light adds up in these alone.
-const SAMPLED_FORMAT: vk::Format = vk::Format::R8G8B8A8_SRGB;
+/// As passes write it: no device must write the format of lookups.
+const FORMAT: vk::Format = vk::Format::R32_UINT;
+/// As lookups read it: light, which alone may be averaged, in nine bits a channel with a common exponent. Every device filters it.
+const SAMPLED_FORMAT: vk::Format = vk::Format::E5B9G9R9_UFLOAT_PACK32;
 /// Tiles of a dispatch: workgroups that every device has.
 const TILES_PER_DISPATCH: u32 = 8192;
 /// Its layout when it is looked up, and when it is written.

@@ -18,7 +18,7 @@ use shadecast_protocol::memory::ResidentPatch;
 use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, Pose};
-use shadecast_shaders::color::linear_from_srgb;
+use shadecast_shaders::color::{linear_from_srgb, srgb_from_linear};
 use shadecast_shaders::twin::atlas_lookup::{Plane, inside_block};
 
 const SIDE: u32 = 128;
