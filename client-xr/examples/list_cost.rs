@@ -119,7 +119,7 @@ impl Bench {
         let mut bench = Self {
             patches,
             motion: moved(),
-            newest: NewestList::new(SLOTS, 1),
+            newest: NewestList::new(SLOTS, 1, true),
             corners: vec![bytemuck::Zeroable::zeroed(); slots * MAX_CORNERS_PER_PATCH],
             indices: vec![0; slots * MAX_INDICES_PER_PATCH],
         };

@@ -6,7 +6,7 @@ mod device;
 use shadecast_client::draw::draw_list::{Drawable, ListWriter};
 use shadecast_client::draw::stages::FRAMES_IN_FLIGHT;
 use shadecast_client::draw::stages::atlas_draw::{
-    AtlasDraw, BundleMemory, BundleSet, EyeTargets, Lookup, Reconstruction, Shared,
+    AtlasDraw, BundleMemory, BundleSet, Colours, EyeTargets, Lookup, Reconstruction, Shared,
 };
 use shadecast_client::draw::stages::scatter::VertexMemory;
 use shadecast_client::draw::stages::settle::Store;
@@ -19,18 +19,30 @@ use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize, Pat
 use shadecast_protocol::ids::{InstanceId, VertexSlot};
 use shadecast_protocol::memory::ResidentPatch;
 use shadecast_protocol::message::MotionMemory;
+use shadecast_shaders::constants::IS_KEPT;
 use shadecast_shaders::generated::{BENCH_ATLAS_FRAG, CLIENT_ATLAS_VERT, CornerGpu};
 use std::sync::Arc;
 
 /// Patches across and down, each with a block of 32x32 texels.
 const ACROSS: u16 = 32;
-/// Name, reconstruction, and the page of all blocks; 0 is the atlas.
-const WAYS: [(&str, Reconstruction, u8); 4] = [
-    ("bilinear", Reconstruction::Bilinear, 0),
-    ("bicubic", Reconstruction::Bicubic, 0),
-    ("bilinear in the store", Reconstruction::Bilinear, 1),
-    ("bicubic in the store", Reconstruction::Bicubic, 1),
+/// Name, reconstruction, and where all blocks are.
+const WAYS: [(&str, Reconstruction, Of); 6] = [
+    ("bilinear", Reconstruction::Bilinear, Of::Atlas),
+    ("bicubic", Reconstruction::Bicubic, Of::Atlas),
+    ("bilinear in the store", Reconstruction::Bilinear, Of::Store),
+    ("bicubic in the store", Reconstruction::Bicubic, Of::Store),
+    ("bilinear of two pictures", Reconstruction::Bilinear, Of::TwoPictures),
+    ("bicubic of two pictures", Reconstruction::Bicubic, Of::TwoPictures),
 ];
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Of {
+    Atlas,
+    Store,
+    /// Blended from the picture before.
+    TwoPictures,
+}
+
 const WITHOUT_STORE: &str = "bilinear without the choice of a store";
 
 fn main() -> Result<(), Box<dyn std::error::Error>> {
@@ -38,7 +50,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let side = arguments.next().transpose()?.unwrap_or(512);
     let rounds = arguments.next().transpose()?.unwrap_or(41);
     let bench = Bench::new(side)?;
-    let ways = WAYS.iter().map(|(_, reconstruction, page)| bench.way(*reconstruction, *page));
+    let ways = WAYS.iter().map(|(_, reconstruction, of)| bench.way(*reconstruction, *of));
     let ways = ways.collect::<Result<Vec<_>, _>>()?;
     let plain = bench.plain(&ways[0])?;
     let mut rows = Vec::new();
@@ -99,9 +111,10 @@ impl Bench {
         Ok(Self { gpu, _image: image, targets, memory, eyes, store })
     }
 
-    fn way(&self, reconstruction: Reconstruction, page: u8) -> Result<Way, GpuError> {
+    fn way(&self, reconstruction: Reconstruction, of: Of) -> Result<Way, GpuError> {
         let lookup = Lookup { reconstruction, ..Lookup::default() };
-        let stage = AtlasDraw::new(&self.gpu, &self.targets.pass, lookup, page > 0)?;
+        let colours = Colours { lookup, has_store: of == Of::Store, blends: of == Of::TwoPictures };
+        let stage = AtlasDraw::new(&self.gpu, &self.targets.pass, colours)?;
         let mut recorder = self.gpu.record()?;
         let patches = u32::from(ACROSS) * u32::from(ACROSS);
         let shared = Shared { memory: &self.memory, store: &self.store, eyes: self.eyes.each_ref() };
@@ -112,8 +125,11 @@ impl Bench {
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(bundle.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(bundle.indices.bytes_mut());
         let mut writer = ListWriter::new(corners, indices);
-        (0..ACROSS * ACROSS).for_each(|number| writer.write(&patch(number, page)));
+        (0..ACROSS * ACROSS).for_each(|number| writer.write(&patch(number, u8::from(of == Of::Store))));
         let drawn = Drawable { opaque: writer.index_count(), ..Drawable::default() };
+        if of == Of::TwoPictures {
+            corners.iter_mut().for_each(|corner| corner.block[0] |= IS_KEPT);
+        }
         Ok(Way { stage, bundle, set, drawn })
     }
 
@@ -122,6 +138,7 @@ impl Bench {
         let desc = GraphicsPipelineDesc {
             cull: vk::CullModeFlags::BACK,
             depth_write: Some(true),
+            constants: &[0, 0], // no store, no second picture
             ..GraphicsPipelineDesc::new(&CLIENT_ATLAS_VERT, &BENCH_ATLAS_FRAG, &self.targets.pass)
         };
         let pipeline = GraphicsPipeline::new(&self.gpu, &desc)?;
@@ -133,7 +150,8 @@ impl Bench {
             ("Eyes", Bind::Buffer(&self.eyes[0])),
         ];
         let planes = way.set.planes.images.iter().map(|plane| Bind::Sampled(plane, &sampler));
-        binds.extend(["luma_plane", "cb_plane", "cr_plane"].into_iter().zip(planes));
+        let names = ["luma_plane", "cb_plane", "cr_plane", "luma_before", "cb_before", "cr_before"];
+        binds.extend(names.into_iter().zip(planes.clone().chain(planes)));
         binds.push(("store", Bind::Sampled(&self.store.image, &sampler)));
         let group = BindGroup::of(pipeline.layout(), &binds)?;
         Ok(Plain { pipeline, group, _sampler: sampler })

@@ -26,7 +26,7 @@ pub struct Client {
 /// The device cannot draw.
 pub fn halves(display: Box<dyn Display>, options: ClientOptions) -> Result<(Presenter, Intake), ClientError> {
     let (of_presenter, of_intake) = handover::ends();
-    let options = ClientOptions { store_pages: Some(options.store_pages_on(display.gpu())), ..options };
+    let options = options.resolved_on(display.gpu());
     let presenter = Presenter::new(display, &options, of_presenter)?;
     presenter.gpu().leave_retired(); // to the intake: destroying takes time that a display frame does not have
     let intake = Intake::new(of_intake, options, presenter.picture_ways(), presenter.eye_extent_pixels());

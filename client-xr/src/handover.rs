@@ -13,7 +13,7 @@ use shadecast_protocol::clock::ClockEstimate;
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::message::{HeadState, Welcome};
 use shadecast_protocol::pose::Eye;
-use shadecast_protocol::time::ClientTime;
+use shadecast_protocol::time::{ClientTime, WorldTime};
 use shadecast_protocol::world_clock::WorldClock;
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -35,6 +35,10 @@ pub(crate) struct Bundle {
     /// How the list stands.
     pub(crate) state: MotionState,
     pub(crate) update: UpdateId,
+    /// What its picture is shaded for.
+    pub(crate) shaded: WorldTime,
+    /// The bundle made before: blocks count as kept that were where they are in that one.
+    pub(crate) before: Option<UpdateId>,
     /// When the last byte of its picture came.
     pub(crate) picture_arrived: ClientTime,
 }

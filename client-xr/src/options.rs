@@ -1,7 +1,7 @@
 //! Options of a client.
 
 use crate::decode::decoding::DecodeTiming;
-use crate::draw::stages::atlas_draw::Lookup;
+use crate::draw::stages::atlas_draw::{Colours, Lookup};
 use crate::draw::stages::interpolate::Interpolation;
 use crate::platform::{self, MakeDecoder};
 use shadecast_gpu::Gpu;
@@ -34,11 +34,13 @@ pub struct ClientOptions {
     /// Pages of settled blocks that the client offers to keep, 22 MB each; 0 is no store. `None`: [`USUAL_STORE_PAGES`], and none without
     /// a GPU.
     pub store_pages: Option<u32>,
+    /// Whether colours go from one picture to the next while that is on display. `None`: with a GPU.
+    pub blends: Option<bool>,
 }
 
 /// Samples per pixel of a device with a GPU, unless another number is asked for.
 pub const USUAL_MSAA: u32 = 4;
-/// Pages of the store of a device with a GPU, unless another number is asked for: 132 MB.
+/// Pages of the store of a device with a GPU, unless another number is asked for: 134 MB.
 pub const USUAL_STORE_PAGES: u32 = 6;
 
 impl Default for ClientOptions {
@@ -55,6 +57,7 @@ impl Default for ClientOptions {
             max_triangles: DEFAULT_TRIANGLES,
             motion: MotionMemory::DEFAULT,
             store_pages: None,
+            blends: None,
         }
     }
 }
@@ -65,8 +68,17 @@ impl ClientOptions {
         self.msaa.unwrap_or(if gpu.is_cpu() { 1 } else { USUAL_MSAA })
     }
 
-    /// Pages of the store on a device. Without a GPU, copies and lookups take the time of updates.
-    pub(crate) fn store_pages_on(&self, gpu: &Gpu) -> u32 {
-        self.store_pages.unwrap_or(if gpu.is_cpu() { 0 } else { USUAL_STORE_PAGES })
+    /// The same with what depends on the device. Without a GPU, the copies and lookups of a store, and lookups in two pictures, take
+    /// the time of updates.
+    pub(crate) fn resolved_on(self, gpu: &Gpu) -> Self {
+        let store_pages = self.store_pages.unwrap_or(if gpu.is_cpu() { 0 } else { USUAL_STORE_PAGES });
+        let blends = self.blends.unwrap_or(!gpu.is_cpu());
+        Self { store_pages: Some(store_pages), blends: Some(blends), ..self }
+    }
+
+    /// What lookups in blocks have to find, of resolved options.
+    pub(crate) fn colours(&self) -> Colours {
+        let Self { lookup, store_pages, blends, .. } = self;
+        Colours { lookup: *lookup, has_store: store_pages.unwrap_or(0) > 0, blends: blends.unwrap_or(false) }
     }
 }

@@ -28,9 +28,10 @@ CubicTaps cubic_taps(vec2 at, vec4 block) {
     return CubicTaps(first, second + w2 / inner, last, w0, inner, w3, weight);
 }
 
-float cubic_lookup(sampler2D plane, vec2 at, vec4 block) {
+// texels: of the plane. (The compiler's reflection misses a plane that its caller does not ask for its size.)
+float cubic_lookup(sampler2D plane, ivec2 texels, vec2 at, vec4 block) {
     CubicTaps taps = cubic_taps(at, block);
-    vec2 scale = 1.0 / vec2(textureSize(plane, 0));
+    vec2 scale = 1.0 / vec2(texels);
     vec2 first = taps.first * scale, middle = taps.middle * scale, last = taps.last * scale;
     float value = textureLod(plane, middle, 0.0).r * taps.inner.x * taps.inner.y
         + textureLod(plane, vec2(first.x, middle.y), 0.0).r * taps.before.x * taps.inner.y

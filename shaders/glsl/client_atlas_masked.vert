@@ -17,6 +17,8 @@ void main() {
     atlas_texel = corner.atlas_texel;
     block = block_texels(corner.block);
     stored = store_place(corner.block);
+    if (is_kept(corner.block)) stored.y = eyes.blend.x;
+    else if (stored.x < 0.0) stored.y = 1.0;
     is_masked = corner.block.x & IS_MASKED;
     gl_Position = clip_position(eyes.clip_from_world[gl_ViewIndex], positions[corner.vertex_slot]);
 }

@@ -2,10 +2,13 @@
 #include "client_stored.glsl"
 
 layout(binding = 3) uniform sampler2D picture;
+layout(binding = 13) uniform sampler2D picture_before;
 
 // The image may be larger than the picture in its corner.
 vec3 rgb_at(vec2 at) {
-    return textureLod(picture, at / vec2(textureSize(picture, 0)), 0.0).rgb;
+    vec3 newest = textureLod(picture, at / vec2(textureSize(picture, 0)), 0.0).rgb;
+    if (newest_part() == 1.0) return newest;
+    return mix(textureLod(picture_before, at / vec2(textureSize(picture_before, 0)), 0.0).rgb, newest, newest_part());
 }
 
 vec4 color_at(vec2 at) {

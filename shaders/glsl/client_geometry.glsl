@@ -13,6 +13,7 @@ struct EyesGpu {
     mat4 clip_from_world[EYES];
     mat4 space_from_clip_direction[EYES]; // (ndc, 1, 0) to a direction in the backdrop's space
     vec4 space_eye[EYES];                 // xyz in the backdrop's space, metres
+    vec4 blend;                           // x: how much of a colour is the newest picture's, of a block that the one before it has too
 };
 
 // Left, top, right, bottom in texels.
@@ -20,6 +21,11 @@ uvec4 block_sides(uvec2 block) {
     bool is_stored = block.y >> (2 * BLOCK_END_BITS) != 0;
     uint mask = (1 << BLOCK_END_BITS) - 1, first_mask = is_stored ? (1 << STORED_PIXEL_BIT) - 1 : mask;
     return uvec4(block.x & first_mask, block.x >> 16 & first_mask, block.y & mask, block.y >> BLOCK_END_BITS & mask);
+}
+
+// Whether the picture before has the same block.
+bool is_kept(uvec2 block) {
+    return (block.y >> (2 * BLOCK_END_BITS)) == 0 && (block.x & IS_KEPT) != 0;
 }
 
 vec4 block_texels(uvec2 block) {

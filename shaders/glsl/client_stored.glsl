@@ -5,6 +5,8 @@
 
 // 0 where no block can be in the store: devices that evaluate both sides of a branch are spared its lookups.
 layout(constant_id = 0) const uint HAS_STORE = 1;
+// 0 where no colour is made of two pictures, likewise.
+layout(constant_id = 1) const uint BLENDS = 1;
 layout(location = 0) in vec2 atlas_texel;
 layout(location = 1) flat in vec4 block; // left, top, right, bottom in texels
 layout(location = 2) flat in vec4 stored; // layer in the store, below 0: it lies in the atlas; highest mip level; texels of a pixel then
@@ -16,6 +18,11 @@ vec4 displayed(vec3 srgb) {
 
 vec4 pixel_footprint() {
     return vec4(dFdx(atlas_texel), dFdy(atlas_texel));
+}
+
+// How much of a block's colour is the newest picture's.
+float newest_part() {
+    return BLENDS == 0 ? 1.0 : stored.y;
 }
 
 bool is_stored() {

@@ -159,6 +159,8 @@ shared! {
 
     /// Set in the first word of a corner's block where the patch does not cover all of it.
     IS_MASKED: u32 = 1 << 31;
+    /// In the same word: the picture before has the same block.
+    IS_KEPT: u32 = 1 << 15;
 
     /// Bits of each coordinate of the first texel beyond a corner's block; those above both are its page.
     BLOCK_END_BITS: u32 = 13;

@@ -32,6 +32,7 @@ pub fn eyes_in_clip_space(gpu: &Arc<Gpu>) -> Result<[Buffer; FRAMES_IN_FLIGHT], 
         clip_from_world: [IDENTITY; 2],
         space_from_clip_direction: [IDENTITY; 2],
         space_eye: [[0.0; 4]; 2],
+        blend: [0.5, 0.0, 0.0, 0.0],
     };
     let mut buffers = eye_buffers(gpu)?;
     buffers.iter_mut().for_each(|buffer| buffer.write(0, bytemuck::bytes_of(&eyes)));

@@ -15,8 +15,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::time::Duration;
 
-/// Images that may be with the client at once: those that wait for their patches, those of bundles, and two on their way.
-pub const MAX_LENT: usize = 8;
+/// Images that may be with the client at once: those that wait for their patches, those of bundles, the one that was on display before,
+/// and two on their way.
+pub const MAX_LENT: usize = 9;
 /// Images of a codec: besides, one that it writes, and one that is written and not taken.
 pub const IMAGES: usize = MAX_LENT + 2;
 /// From one unit's time to the next one's, in a codec's microseconds. Far enough that codecs that round keep them apart.

@@ -10,7 +10,7 @@ use shadecast_protocol::ids::{PatchSlot, VertexSlot};
 use shadecast_protocol::limits::{ATLAS_MAX_EXTENT, PATCH_MAX_VERTICES, STORE_PAGE_SIDE};
 use shadecast_protocol::memory::{Patches, ResidentPatch};
 use shadecast_protocol::time::GridIndex;
-use shadecast_shaders::constants::{BLOCK_END_BITS, IS_MASKED, STORED_PIXEL_BIT};
+use shadecast_shaders::constants::{BLOCK_END_BITS, IS_KEPT, IS_MASKED, STORED_PIXEL_BIT};
 use shadecast_shaders::generated::CornerGpu;
 
 /// Corners of a patch of three triangles, and its indices.
@@ -134,6 +134,9 @@ pub struct NewestList {
     /// Patches in kept places, opaque and cutouts.
     kept: [u32; 2],
     waiting: Vec<PatchSlot>,
+    /// Patches with a block that they did not have in the list before, where the client blends.
+    fresh: Vec<PatchSlot>,
+    blends: bool,
     /// Those that wait, in the order in which they can be drawn.
     order: Vec<(bool, GridIndex, PatchSlot)>,
     list: DrawList,
@@ -142,8 +145,9 @@ pub struct NewestList {
 }
 
 impl NewestList {
-    /// Of so many patch slots, for so many bundles, of whose memory nothing is known.
-    pub fn new(patch_slots: u32, bundles: usize) -> Self {
+    /// Of so many patch slots, for so many bundles, of whose memory nothing is known. With `blends`, it says which blocks the list
+    /// before has too.
+    pub fn new(patch_slots: u32, bundles: usize, blends: bool) -> Self {
         let slots = patch_slots as usize;
         let (corners, indices) = (slots * MAX_CORNERS_PER_PATCH, slots * MAX_INDICES_PER_PATCH);
         let changed = Changed {
@@ -159,6 +163,8 @@ impl NewestList {
             cutouts: IndexPlaces::default(),
             kept: [0; 2],
             waiting: Vec::with_capacity(slots),
+            fresh: Vec::with_capacity(if blends { slots } else { 0 }),
+            blends,
             order: Vec::with_capacity(slots),
             list: DrawList::of_capacity(patch_slots),
             changed: vec![changed; bundles],
@@ -170,11 +176,17 @@ impl NewestList {
         &self.list
     }
 
+    /// Whether the next list differs from this one though nothing changes: what is new in this one is not in that.
+    pub fn has_fresh(&self) -> bool {
+        !self.fresh.is_empty()
+    }
+
     /// Takes in what has become of some patches; of each that waits for samples, from when on it can be drawn. Tells `motion` what
     /// the list uses.
     pub fn update(&mut self, patches: &Patches, changed: &[PatchSlot], motion: &mut Motion) {
         let mut users = motion.users();
         let drawn = |slot: PatchSlot| patches.get(slot).filter(|patch| patch.block.is_some());
+        self.keep_fresh();
         for slot in changed {
             if !drawn(*slot).is_some_and(|patch| self.moves(*slot, patch)) {
                 self.remove(*slot, &mut users);
@@ -217,12 +229,27 @@ impl NewestList {
         is_same
     }
 
+    /// Blocks that were new in the list are kept now.
+    fn keep_fresh(&mut self) {
+        let mut fresh = std::mem::take(&mut self.fresh);
+        for slot in fresh.drain(..) {
+            let (first, count) =
+                (slot.index() * MAX_CORNERS_PER_PATCH, usize::from(self.corner_counts[slot.index()]));
+            self.corners[first..][..count].iter_mut().for_each(|corner| corner.block[0] |= IS_KEPT);
+            self.changed.iter_mut().for_each(|changed| changed.note_corners(first, count));
+        }
+        self.fresh = fresh;
+    }
+
     fn put_corners(&mut self, slot: PatchSlot, patch: &ResidentPatch) {
         let first = slot.index() * MAX_CORNERS_PER_PATCH;
         let corners = corners_of(patch);
         self.corner_counts[slot.index()] = corners.len() as u8;
         self.corners[first..][..corners.len()].copy_from_slice(&corners);
         self.changed.iter_mut().for_each(|changed| changed.note_corners(first, corners.len()));
+        if self.blends && patch.block.is_some_and(|block| !block.is_stored()) {
+            self.fresh.push(slot);
+        }
     }
 
     fn insert(&mut self, slot: PatchSlot, patch: &ResidentPatch, users: &mut Users<'_>) {

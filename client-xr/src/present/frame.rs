@@ -145,7 +145,9 @@ impl Presenter {
         // All is recorded: now the eyes, as late as possible.
         let views = self.renderer.display.locate_views(&turn)?;
         let space_from_eye = views.stage_from_eye.map(|stage_from_eye| space_from_stage.then(stage_from_eye));
-        let eyes = eyes_gpu(space_from_eye, space_from_eye, views.fov);
+        let mut eyes = eyes_gpu(space_from_eye, space_from_eye, views.fov);
+        let newest_part = world.zip(content.world_time).map_or(1.0, |(scene, time)| scene.newest_part(time));
+        eyes.blend[0] = newest_part;
         self.renderer.stages.write_eyes(flight, &eyes);
         let space_from_hand = views.stage_from_hand.map(|hand| hand.map(|hand| space_from_stage.then(hand)));
         self.renderer.stages.hands.write(flight, space_from_hand);

@@ -60,7 +60,6 @@ impl Renderer {
     pub(crate) fn new(display: Box<dyn Display>, options: &ClientOptions) -> Result<Self, GpuError> {
         let gpu = display.gpu().clone();
         let samples = samples(options.msaa_on(&gpu), gpu.sample_counts());
-        let has_store = options.store_pages_on(&gpu) > 0;
         let words = Words {
             stage_from_panel: None,
             status: Text::new("Shadecast"),
@@ -71,7 +70,7 @@ impl Renderer {
             stillness: Stillness::default(),
             figures: FiguresPanel::default(),
         };
-        let stages = Stages::new(&gpu, display.eye_images(), samples, (options.lookup, has_store))?;
+        let stages = Stages::new(&gpu, display.eye_images(), samples, options.colours())?;
         Ok(Self { stages, probe: None, last_drawn: None, last_ticket: None, gpu, display, words })
     }
 

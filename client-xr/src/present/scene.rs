@@ -5,7 +5,7 @@
 use crate::draw::draw_list::{DrawList, Drawable};
 use crate::draw::stages::Stages;
 use crate::draw::stages::arena::SkinMemory;
-use crate::draw::stages::atlas_draw::{BUNDLES, BundleMemory, BundleSet, Shared};
+use crate::draw::stages::atlas_draw::{BUNDLES, BundleMemory, BundleSet, OnDevice, Shared};
 use crate::draw::stages::batch::{BATCHES, Batch};
 use crate::draw::stages::interpolate::{self, Interpolation, Slots};
 use crate::draw::stages::pose::PoseStaging;
@@ -56,11 +56,30 @@ pub struct Scene {
     /// What is complete and not yet on display.
     next: Option<Box<Bundle>>,
     shown: Option<Box<Bundle>>,
+    /// What was shown before it.
+    before: Option<Before>,
     /// The first step at which all of it can be drawn that could be when it came on display.
     ready: GridIndex,
     /// The time at which its vertices are.
     pace: Pace,
     has_switched: bool,
+}
+
+/// The picture that was on display before the one that is.
+#[derive(Default)]
+struct Before {
+    /// What it is shaded for.
+    shaded: WorldTime,
+    /// It, where the device has it; else it is in its bundle's planes until the next bundle is shown.
+    on_device: Option<OnDevice>,
+    /// What is on display blends from it.
+    blends: bool,
+}
+
+/// How much of a colour is the second picture's, which are shaded for such times.
+fn newest_part([from, to]: [WorldTime; 2], time: WorldTime) -> f32 {
+    let (whole_ns, passed_ns) = (to.since(from), time.since(from));
+    if whole_ns <= 0 { 1.0 } else { (passed_ns as f64 / whole_ns as f64).clamp(0.0, 1.0) as f32 }
 }
 
 /// How a scene stands at a display time.
@@ -110,6 +129,8 @@ impl Scene {
                 drawn: Vec::with_capacity(MAX_INSTANCES as usize),
                 state: MotionState::default(),
                 update: UpdateId(0),
+                shaded: WorldTime(0),
+                before: None,
                 picture_arrived: ClientTime(0),
             })));
         }
@@ -132,6 +153,7 @@ impl Scene {
             state: MotionState::default(),
             next: None,
             shown: None,
+            before: None,
             ready: GridIndex(i32::MIN),
             pace: Pace::default(),
             has_switched: false,
@@ -220,9 +242,34 @@ impl Scene {
         self.ready = bundle.list.ready_at(GridTime::of(self.terms.grid, time).step);
         self.has_switched = true;
         let picture_arrived = bundle.picture_arrived;
-        let before = self.shown.replace(bundle);
-        self.spent.extend(before.map(Loan::Bundle));
+        if let Some(shown) = self.shown.replace(bundle) {
+            self.keep_before(stages, shown);
+        }
         Ok(Some(picture_arrived))
+    }
+
+    /// What was shown until now is spent, but for its picture: what comes next blends from that.
+    fn keep_before(&mut self, stages: &Stages, mut shown: Box<Bundle>) {
+        if stages.atlas.blends() {
+            let before = self.before.get_or_insert_default();
+            // The one that this one blended from is given back with it.
+            std::mem::swap(&mut before.on_device, &mut shown.memory.on_device);
+            (before.shaded, before.blends) = (shown.shaded, false);
+            if let Some(now) = self.shown.as_deref().filter(|now| now.before == Some(shown.update)) {
+                let sets = self.sets.get_disjoint_mut([now.memory.index, shown.memory.index]);
+                let [set, set_before] = sets.expect("two bundles have two sets");
+                let picture_before = (&*set_before, before.on_device.as_ref());
+                before.blends = stages.atlas.bind_before((set, &now.memory), picture_before);
+            }
+        }
+        self.spent.push(Loan::Bundle(shown));
+    }
+
+    /// How much of a colour the picture on display has at `time`, where the one before it has the same block; the rest is of that one.
+    pub(crate) fn newest_part(&self, time: WorldTime) -> f32 {
+        let before = self.before.as_ref().filter(|before| before.blends);
+        let Some((before, shown)) = before.zip(self.shown.as_ref()) else { return 1.0 };
+        newest_part([before.shaded, shown.shaded], time)
     }
 
     /// Skeletons of the draw list's instances at `time`. Needs a barrier after it, before what reads their palettes.
@@ -362,5 +409,19 @@ impl Scene {
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
         gpu.wait(recorder.submit()?)?;
         Ok(readback.values::<[f32; 4]>()[..self.memory.vertex_slots as usize].to_vec())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_colour_goes_from_one_picture_to_the_next_by_time() {
+        let part = |from, to, time| newest_part([WorldTime(from), WorldTime(to)], WorldTime(time));
+        assert_eq!([100, 125, 200].map(|time| part(100, 200, time)), [0.0, 0.25, 1.0]);
+        assert_eq!([90, 210].map(|time| part(100, 200, time)), [0.0, 1.0], "it goes no farther");
+        // The world stands, or goes back to its beginning.
+        assert_eq!([part(100, 100, 100), part(200, 100, 150)], [1.0, 1.0]);
     }
 }

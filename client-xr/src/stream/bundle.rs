@@ -12,6 +12,7 @@ use shadecast_protocol::geometry::{GeometryDelta, NewPatch, Settled};
 use shadecast_protocol::ids::{PatchSlot, UpdateId};
 use shadecast_protocol::limits::DEFAULT_PATCH_SLOTS;
 use shadecast_protocol::memory::Patches;
+use shadecast_protocol::time::WorldTime;
 use shadecast_protocol::wire::WireError;
 use std::collections::VecDeque;
 
@@ -35,6 +36,8 @@ pub struct Bundler<P> {
     pictures: VecDeque<(UpdateId, P)>,
     /// The update whose patches `patches` holds.
     applied: Option<UpdateId>,
+    /// What its picture is shaded for.
+    shaded: WorldTime,
     /// The update on display.
     current: Option<UpdateId>,
     /// What settles of its picture: where from, and where to.
@@ -60,6 +63,7 @@ pub struct Revision {
 #[derive(Debug)]
 struct PatchChanges {
     update: UpdateId,
+    shaded: WorldTime,
     evicted: Vec<PatchSlot>,
     new: Vec<NewPatch>,
     placements: Vec<(PatchSlot, Option<Block>)>,
@@ -99,6 +103,7 @@ impl<P> Bundler<P> {
             pending_records: 0,
             pictures: VecDeque::new(),
             applied: None,
+            shaded: WorldTime(0),
             current: None,
             settled: Vec::new(),
             unsettled: None,
@@ -133,6 +138,7 @@ impl<P> Bundler<P> {
     pub fn add_delta(&mut self, delta: GeometryDelta) {
         let changes = PatchChanges {
             update: delta.update,
+            shaded: delta.shaded,
             evicted: delta.evicted_patches,
             new: delta.new_patches,
             placements: delta.placements,
@@ -144,6 +150,11 @@ impl<P> Bundler<P> {
         while self.pending.len() > MAX_PENDING || self.pending_records > MAX_PENDING_RECORDS {
             self.apply_next();
         }
+    }
+
+    /// What the picture of the last update that was taken is shaded for.
+    pub fn shaded(&self) -> WorldTime {
+        self.shaded
     }
 
     /// Bytes that wait for pictures.
@@ -223,6 +234,7 @@ impl<P> Bundler<P> {
         let Some(changes) = self.pending.pop_front() else { return };
         self.pending_records -= changes.records();
         self.applied = Some(changes.update);
+        self.shaded = changes.shaded;
         self.revision.patches += u64::from(changes.records() > 1);
         self.revision.coverage += u64::from(!changes.coverage.is_empty());
         let new = changes.new.iter().map(|patch| patch.slot);

@@ -134,6 +134,7 @@ impl Intake {
             max_triangles: options.max_triangles.min(MAX_TRIANGLES),
             motion: options.motion.min(MotionMemory::MAX),
             store_pages: options.store_pages.unwrap_or(0).min(MAX_STORE_PAGES),
+            blends: options.blends.unwrap_or(false),
             codecs: options.codecs.to_vec(),
             eyes,
             eye_extent_pixels,
@@ -369,7 +370,7 @@ impl Intake {
                 Err(error) => return self.notices.push_back(Notice::Failed(error.to_string())),
             };
         let Some(serial) = self.link.welcomed(&welcome, decoder, self.options.decoding) else { return };
-        self.preparing = Some(Preparing::new(&welcome, serial));
+        self.preparing = Some(Preparing::new(&welcome, serial, self.options.blends.unwrap_or(false)));
         (self.told_world, self.asked_to_go) = (WorldClock::default(), None);
         self.end.give(Prepared::Scene(Box::new(welcome.clone()), serial));
         self.notices.push_back(Notice::Welcome(welcome));

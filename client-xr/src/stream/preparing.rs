@@ -33,20 +33,23 @@ pub(crate) struct Preparing {
     list: NewestList,
     /// Of which patches the list is.
     listed: Option<u64>,
+    /// The bundle made last.
+    made: Option<UpdateId>,
     /// Memory that waits to be filled.
     batches: Vec<Box<Batch>>,
     bundles: Vec<Box<Bundle>>,
 }
 
 impl Preparing {
-    /// Of a connection under these terms.
-    pub(crate) fn new(terms: &Welcome, serial: u64) -> Self {
+    /// Of a connection under these terms; `blends`: of a client that does.
+    pub(crate) fn new(terms: &Welcome, serial: u64, blends: bool) -> Self {
         Self {
             serial,
             motion: Motion::new(terms.vertex_slots, terms.motion.into()),
             bundler: Bundler::new(terms.patch_slots, terms.atlas_extent_texels),
-            list: NewestList::new(terms.patch_slots, BUNDLES),
+            list: NewestList::new(terms.patch_slots, BUNDLES, blends),
             listed: None,
+            made: None,
             batches: Vec::with_capacity(BATCHES),
             bundles: Vec::with_capacity(BUNDLES),
         }
@@ -144,13 +147,18 @@ impl Preparing {
         self.write_list(&mut bundle);
         bundle.state = self.motion.state();
         (bundle.update, bundle.picture_arrived) = (update, arrived);
+        bundle.before = self.made.replace(update);
+        bundle.shaded = self.bundler.shaded();
         Ok(Some(Loan::Bundle(bundle)))
     }
 
     /// The newest list, by what has changed of patches, and by the samples that have come for those that wait for some.
     fn update_list(&mut self) {
         let patches = Some(self.bundler.revision().patches);
-        if std::mem::replace(&mut self.listed, patches) != patches || self.list.list().waits() {
+        if std::mem::replace(&mut self.listed, patches) != patches
+            || self.list.list().waits()
+            || self.list.has_fresh()
+        {
             let (changed, patches) = self.bundler.take_changed();
             self.list.update(patches, changed.as_slice(), &mut self.motion);
         }

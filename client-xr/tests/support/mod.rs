@@ -85,6 +85,7 @@ impl Run {
             motion: MotionMemory::DEFAULT,
             decoder,
             store_pages: Some(store_pages),
+            blends: Some(true),
             ..ClientOptions::default()
         };
         Client::new(Box::new(xr), options).expect("a client")

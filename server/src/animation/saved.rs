@@ -10,8 +10,8 @@ use std::ops::Range;
 
 /// Vertices of all buffers.
 const MOST_VERTICES: u32 = SAVED_CHUNKS * CHUNK_VERTICES;
-/// Sample times that are kept at least: those of one update, and the one that the last update is shaded for meanwhile.
-pub(crate) const LEAST_PLACES: u32 = crate::time::VIEW_TIMES as u32 + 1;
+/// Sample times that are kept at least: those of one update, what it is shaded for among them, and what the last update is shaded for meanwhile.
+pub(crate) const LEAST_PLACES: u32 = crate::time::VIEW_TIMES as u32 + 2;
 /// Sample times that are kept at most: those of a few viewers.
 pub const MOST_PLACES: u32 = 16;
 const _: () = assert!(CHUNK_VERTICES as u64 * SAVED_BYTES <= 128 << 20);

@@ -29,7 +29,7 @@ pub struct UpdatePolicy {
     pub one_pass_when_still: bool,
     /// Of static instances, only clusters in sight are drawn.
     pub clusters: bool,
-    /// For when exactly updates are shaded, where that is known ahead; others for the middle of their time on display, as expected.
+    /// For when exactly updates are shaded, where that is known ahead; others as [`PredictedViews::shaded`](crate::visibility::predict::PredictedViews::shaded) says.
     pub shading_times: BTreeMap<UpdateId, WorldTime>,
     /// The times at which an update has a visibility pass.
     pub views: ViewPlan,
@@ -76,21 +76,21 @@ impl UpdatePolicy {
         if self.clusters { world.clusters() } else { Clusters::NONE }
     }
 
-    /// Records light, shadow map and tangents for an update that is sampled for the time `middle` into `place`. Returns the time
+    /// Records light, shadow map and tangents for an update that is shaded for `at`, sampled into `place`. Returns the time
     /// of its shading.
     pub(super) fn light(
         &self,
         world: &mut World,
         recorder: &mut Recorder,
         update: UpdateId,
-        (middle, place): (ViewTime, RingPlace),
+        (at, place): (ViewTime, RingPlace),
     ) -> WorldTime {
         if let Some(time) = self.shading_times.get(&update) {
             world.light_at(recorder, place, *time);
             return *time;
         }
-        world.light(recorder, middle, place);
-        middle.time(world.grid())
+        world.light(recorder, at, place);
+        at.time(world.grid())
     }
 }
 

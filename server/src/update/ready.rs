@@ -15,7 +15,7 @@ use crate::update::policy::UpdatePolicy;
 use crate::update::shading_step::{ColourMemory, ShadingStep};
 use crate::update::visibility_step::{VisibilityMemory, VisibilityStep};
 use crate::update::{ShowOptions, ViewerUpdates};
-use crate::visibility::predict::HeadTrack;
+use crate::visibility::predict::{DisplayTiming, HeadTrack};
 use crate::world::{Site, ViewerId, World};
 use shadecast_gpu::{Gpu, GpuError};
 use shadecast_protocol::atlas::AtlasExtent;
@@ -82,7 +82,7 @@ impl LeftUpdates {
 pub(crate) struct ReadyUpdates {
     policy: Arc<UpdatePolicy>,
     show: ShowOptions,
-    display_period_ns: i64,
+    display: DisplayTiming,
     placement: PlacementStep,
     memory: ViewerMemory,
 }
@@ -114,7 +114,7 @@ impl ReadyUpdates {
         };
         Ok(Self {
             placement: PlacementStep::new(site, terms.eye, welcome, (room, show.surround), &policy),
-            display_period_ns: capabilities.display_period_ns,
+            display: DisplayTiming { period_ns: capabilities.display_period_ns, blends: capabilities.blends },
             policy,
             show,
             memory,
@@ -131,13 +131,13 @@ impl ReadyUpdates {
     /// # Errors
     /// The device has no room for their bindings, or is lost.
     pub(crate) fn join(self, world: &World, id: ViewerId) -> Result<ViewerUpdates, GpuError> {
-        let Self { policy, show, display_period_ns, placement, memory } = self;
+        let Self { policy, show, display, placement, memory } = self;
         let ViewerMemory { terms, visibility, colours } = memory;
         let seen = (&placement.residency, visibility);
         Ok(ViewerUpdates {
             id,
             terms,
-            head: HeadTrack::new(display_period_ns),
+            head: HeadTrack::new(display),
             visibility: VisibilityStep::new(world, (id, terms.eye), show, &policy, seen)?,
             placement,
             shading: ShadingStep::new(world, terms.eye, &policy, colours)?,

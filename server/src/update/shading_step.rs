@@ -11,7 +11,6 @@ use crate::shading::passes::shading::{Shading, ShadingMemory};
 use crate::shading::passes::ycbcr::Ycbcr;
 use crate::shading::reuse::{Moment, Reason, Reuse};
 use crate::support::pool::Pool;
-use crate::time::VIEW_TIMES;
 use crate::update::Shaded;
 use crate::update::eye::EyeSize;
 use crate::update::in_flight::Placed;
@@ -21,6 +20,7 @@ use crate::world::moment::Stance;
 use shadecast_gpu::{Access, Gpu, GpuError, Image, Recorder};
 use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::picture::I420;
+use shadecast_protocol::time::WorldTime;
 use std::sync::Arc;
 
 /// Owner of the atlas image and of the planes, for one viewer.
@@ -32,6 +32,8 @@ pub(crate) struct ShadingStep {
     /// Texels that an update may shade beside new blocks.
     budget_texels: u64,
     measures: Measures,
+    /// What the last picture that was recorded is shaded for.
+    shaded_time: WorldTime,
     ycbcr: Ycbcr,
     /// Memory for the pictures of updates that come.
     pictures: Pool<I420>,
@@ -81,6 +83,7 @@ impl ShadingStep {
             reuse: Reuse::new(policy.reuse),
             budget_texels: u64::MAX,
             measures: Measures::default(),
+            shaded_time: WorldTime(0),
             pictures: Pool::default(),
             lists: Pool::default(),
         })
@@ -132,17 +135,17 @@ impl ShadingStep {
         self.ycbcr.converted_texels()
     }
 
-    /// Records the blocks whose inputs have changed, as they are in the middle of the update's time on display, and their
-    /// conversion.
+    /// Records the blocks whose inputs have changed, as they are at the time that the update is shaded for, and their conversion.
     pub(crate) fn record(
         &mut self,
         world: &mut World,
         Placed { update, views, sampled, .. }: &Placed,
         layout: &Layout,
     ) -> Result<Recorder, GpuError> {
-        let (middle, place) = (views.times[VIEW_TIMES / 2], sampled.places[VIEW_TIMES / 2]);
+        let place = sampled.shaded;
         let mut recorder = world.gpu().record()?;
-        let time = self.policy.light(world, &mut recorder, *update, (middle, place));
+        let time = self.policy.light(world, &mut recorder, *update, (views.shaded, place));
+        self.shaded_time = time;
         let (surfaces, placed) = (world.surfaces(time, place), layout.remembered());
         let moment = |now: &mut Moment<Stance>| world.moment(time, now);
         let due = self.reuse.due(moment, views.world_from_head, placed, &surfaces, self.allowed_texels());
@@ -162,6 +165,7 @@ impl ShadingStep {
     pub(crate) fn read(&mut self, shaded: &mut Shaded) {
         let blocks = shaded.delta.masked.iter();
         let covered = blocks.map(|(slot, block)| (*slot, self.ycbcr.coverage(*block)));
+        shaded.delta.geometry.shaded = self.shaded_time;
         shaded.delta.geometry.coverage.extend(covered.filter(|(_, coverage)| !coverage.is_whole()));
         let mut picture = self.pictures.take();
         self.ycbcr.read(&mut picture);

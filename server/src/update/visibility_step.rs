@@ -26,7 +26,7 @@ use crate::visibility::passes::mark::Mark;
 use crate::visibility::passes::spread::Spread;
 use crate::visibility::predict::PredictedViews;
 use crate::visibility::sweep::{Glance, Sweep};
-use crate::world::{Sampled, ViewerId, World};
+use crate::world::{SampleTimes, Sampled, ViewerId, World};
 use shadecast_gpu::{Access, Gpu, GpuError, Part, Recorder, Ticket, Timings};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::time::ServerTime;
@@ -263,7 +263,7 @@ impl VisibilityStep {
         self.needs.set_lods(self.detail.finest());
         let casters = if self.measures.error() > 1.0 { Casters::Coarse } else { Casters::Fine };
         self.pass_times = self.times_of_passes(world, &start);
-        let times = (views.times, self.pass_times);
+        let times = SampleTimes { times: views.times, looks: self.pass_times, shaded: views.shaded };
         let sampled = world.animate(&mut recorder, self.viewer, times, (&self.needs, casters)); // 2
         world.effort_mut().add_animation(began);
         self.views.extent = self.ids_extent();

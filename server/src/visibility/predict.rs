@@ -54,12 +54,23 @@ pub struct PredictedViews {
     /// Of the world, spread over the interval in which the update will be on display: points of the time grid, and its middle; may
     /// repeat, and do while the world stands.
     pub times: [ViewTime; VIEW_TIMES],
+    /// What its picture is shaded for: the middle of that interval, or its last frame where the client blends from one picture to the next.
+    pub shaded: ViewTime,
     /// Left and right eye at each time.
     pub eyes: [[View; 2]; VIEW_TIMES],
     /// The head in the middle of the interval; shading looks from there.
     pub world_from_head: Pose,
     /// What was added to each side of the field of view, radians.
     pub margin: f32,
+}
+
+/// When a client shows what.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct DisplayTiming {
+    /// From a frame to the next.
+    pub period_ns: i64,
+    /// Whether colours go from one picture to the next while that is on display.
+    pub blends: bool,
 }
 
 /// The head as reported, and how well past predictions came true.
@@ -77,13 +88,13 @@ pub(crate) struct HeadTrack {
     /// for less.
     update_ns: i64,
     /// From one display frame of the client to the next, nanoseconds.
-    display_period_ns: i64,
+    display: DisplayTiming,
 }
 
 impl HeadTrack {
-    /// Of a client whose display shows a frame in each `display_period_ns`.
-    pub(crate) fn new(display_period_ns: i64) -> Self {
-        Self { display_period_ns, ..Self::default() }
+    /// Of a client with this display.
+    pub(crate) fn new(display: DisplayTiming) -> Self {
+        Self { display, ..Self::default() }
     }
 
     /// A newer head state; older ones, which datagrams may bring late, are ignored.
@@ -154,10 +165,25 @@ impl HeadTrack {
     /// From an update's start to the middle of its time on display, as it usually is. The last of its frames is shown a display
     /// period before the first of the next update.
     fn middle_delay_ns(&self) -> i64 {
-        let [first_ns, last_ns] = self.delays_ns();
+        let [first_ns, last_ns] = self.usual_delays_ns();
+        ((first_ns + last_ns) / 2).clamp(0, MAX_DELAY_NS)
+    }
+
+    /// From an update's start to what its picture is shaded for. A client that blends shows it unmixed with its last frame.
+    fn shaded_delay_ns(&self) -> i64 {
+        if !self.display.blends {
+            return self.middle_delay_ns();
+        }
+        let [_, last_ns] = self.usual_delays_ns();
+        last_ns.clamp(0, MAX_DELAY_NS)
+    }
+
+    /// From an update's start to its first and its last frame, as they usually are.
+    fn usual_delays_ns(&self) -> [i64; 2] {
+        let [first_ns, next_ns] = self.delays_ns();
         let first_ns = percentile(&self.first_delays, 0.5).unwrap_or(first_ns);
-        let next_ns = percentile(&self.last_delays, 0.5).unwrap_or(last_ns);
-        ((first_ns + next_ns - self.display_period_ns) / 2).clamp(0, MAX_DELAY_NS)
+        let next_ns = percentile(&self.last_delays, 0.5).unwrap_or(next_ns);
+        [first_ns, next_ns - self.display.period_ns]
     }
 
     /// The views for an update that starts at `now` in a world of this clock, by so much wider than usual; `None` before the first
@@ -181,6 +207,7 @@ impl HeadTrack {
             ViewTime::nearest(grid, world_middle),
             grid.ceil(world_last).into(),
         ];
+        let shaded = ViewTime::nearest(grid, clock.world_time(now.plus_ns(self.shaded_delay_ns())));
         let eyes = std::array::from_fn(|number| {
             // The head goes on while the world stands.
             let moved_ns = times[number].time(grid).since(clock.world_time(shown[number]));
@@ -192,7 +219,7 @@ impl HeadTrack {
         if self.promised.len() < REPORTS {
             self.promised.push_back((middle, world_from_head));
         }
-        Some(PredictedViews { begun: clock.world_time(now), times, eyes, world_from_head, margin })
+        Some(PredictedViews { begun: clock.world_time(now), times, shaded, eyes, world_from_head, margin })
     }
 
     /// The 95th percentile of recent prediction errors, within bounds.

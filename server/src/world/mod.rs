@@ -34,9 +34,22 @@ impl ViewerId {
 
 /// The samples that an update works with.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) struct Sampled {
+pub struct Sampled {
     /// Where those of each predicted time are in the ring.
     pub places: [RingPlace; VIEW_TIMES],
+    /// Where those are that it is shaded with.
+    pub shaded: RingPlace,
+}
+
+/// Times at which an update needs samples.
+#[derive(Clone, Copy, Debug)]
+pub struct SampleTimes {
+    /// Those at which it may look.
+    pub times: [ViewTime; VIEW_TIMES],
+    /// At which of them it does.
+    pub looks: [bool; VIEW_TIMES],
+    /// What it is shaded for.
+    pub shaded: ViewTime,
 }
 
 /// What the world has done so far.
@@ -217,7 +230,7 @@ impl World {
         &mut self,
         recorder: &mut Recorder,
         viewer: ViewerId,
-        times: ([ViewTime; VIEW_TIMES], [bool; VIEW_TIMES]),
+        times: SampleTimes,
         (needs, casters): (&Needed, Casters),
     ) -> Sampled {
         let instances = self.scene.numbering.instances.len();
@@ -225,8 +238,7 @@ impl World {
         of_viewer.copy(needs);
         of_viewer.refine(self.shadow.lods(casters));
         self.unite();
-        let places = self.samples.record(recorder, &mut self.animation, self.grid, times, &self.needed);
-        Sampled { places }
+        self.samples.record(recorder, &mut self.animation, self.grid, times, &self.needed)
     }
 
     /// Records light, shadow map and tangents as they are at `at`, which [`Self::animate`] has sampled into `place`, unless they are.

@@ -9,9 +9,10 @@ use crate::skinning::gpu::{Animation, SampleJob};
 use crate::skinning::posing::CpuPose;
 use crate::time::RingPlace;
 use crate::time::VIEW_TIMES;
-use crate::time::view_time::{HeldTimes, ViewTime};
+use crate::time::view_time::HeldTimes;
 use crate::visibility::clusters::Clusters;
 use crate::visibility::culling::Needed;
+use crate::world::{SampleTimes, Sampled};
 use glam::Vec3;
 use shadecast_gpu::Recorder;
 use shadecast_protocol::ids::MeshId;
@@ -56,37 +57,38 @@ impl SampleWindow {
         clusters
     }
 
-    /// Records the samples that the instances in `needed` lack, at the middle of `times` and at those that `looks` names. Gives where
-    /// those of each time are; a time without any has the middle's.
+    /// Records the samples that the instances in `needed` lack, at the middle of `times`, at those that `looks` names, and at `shaded`.
+    /// Gives where those of each time are; a time without any has the middle's.
     pub fn record(
         &mut self,
         recorder: &mut Recorder,
         animation: &mut Animation,
         grid: Grid,
-        (times, looks): ([ViewTime; VIEW_TIMES], [bool; VIEW_TIMES]),
+        SampleTimes { times, looks, shaded }: SampleTimes,
         needed: &Needed,
-    ) -> [RingPlace; VIEW_TIMES] {
+    ) -> Sampled {
         let times: [_; VIEW_TIMES] =
             std::array::from_fn(|time| times[if looks[time] { time } else { VIEW_TIMES / 2 }]);
         let [first, middle, last] = times;
-        // The update is shaded for its middle while the next one looks already.
-        let places = self.times.take([first, last, middle]);
-        let places = [places[0], places[2], places[1]];
-        self.list_jobs(animation, places, times.map(|at| at.time(grid)), needed);
+        // The update is shaded while the next one looks already.
+        let all = [first, last, middle, shaded];
+        let places = self.times.take(all);
+        self.list_jobs(animation, places, all.map(|at| at.time(grid)), needed);
         let statics = SampleJob { instance: 0, lod: FULL_DETAIL, place: places[0], time: first.time(grid) };
         animation.record(recorder, &self.jobs, statics);
-        places
+        let [first, last, middle, shaded] = places;
+        Sampled { places: [first, middle, last], shaded }
     }
 
     fn list_jobs(
         &mut self,
         animation: &Animation,
-        places: [RingPlace; VIEW_TIMES],
-        times: [WorldTime; VIEW_TIMES],
+        places: [RingPlace; VIEW_TIMES + 1],
+        times: [WorldTime; VIEW_TIMES + 1],
         needed: &Needed,
     ) {
         self.jobs.clear();
-        for number in 0..VIEW_TIMES {
+        for number in 0..places.len() {
             if places[..number].contains(&places[number]) {
                 continue;
             }

@@ -20,8 +20,8 @@ pub struct Layout {
     name: &'static str,
 }
 
-/// A sampler that is part of a layout, and the name of its binding.
-pub type FixedSampler = (&'static str, Arc<YcbcrSampler>);
+/// A sampler that is part of a layout, and the names of its bindings.
+pub type FixedSampler = (&'static [&'static str], Arc<YcbcrSampler>);
 
 /// A picture of a platform's format may take as many descriptors as it has planes.
 const DESCRIPTORS_PER_PICTURE: u32 = 4;
@@ -69,7 +69,7 @@ impl Layout {
         let open = bindings.iter_mut().filter(|(binding, _)| binding.count == 0);
         open.for_each(|(binding, _)| binding.count = textures.max(1));
         let name = shaders.last().map_or("", |s| s.name);
-        check_descriptors(gpu, name, &bindings, fixed.as_ref().map(|(name, _)| *name))?;
+        check_descriptors(gpu, name, &bindings, fixed.as_ref().map_or(&[], |(names, _)| names))?;
         let samplers: Vec<_> = fixed.iter().map(|(_, sampler)| sampler.handle).collect();
         let infos: Vec<_> = bindings
             .iter()
@@ -80,7 +80,7 @@ impl Layout {
                     .descriptor_count(binding.count)
                     .stage_flags(*stages);
                 match &fixed {
-                    Some((name, _)) if *name == binding.name => info.immutable_samplers(&samplers),
+                    Some((names, _)) if names.contains(&binding.name) => info.immutable_samplers(&samplers),
                     _ => info,
                 }
             })
@@ -156,13 +156,13 @@ fn check_descriptors(
     gpu: &Gpu,
     shader: &str,
     bindings: &[(Binding, vk::ShaderStageFlags)],
-    fixed: Option<&str>,
+    fixed: &[&str],
 ) -> Result<(), GpuError> {
     let count = |kind: Option<BindingKind>, stages| -> u64 {
         let counted =
             bindings.iter().filter(|(b, s)| kind.is_none_or(|kind| b.kind == kind) && s.intersects(stages));
         let places =
-            counted.map(|(b, _)| if fixed == Some(b.name) { DESCRIPTORS_PER_PICTURE } else { b.count });
+            counted.map(|(b, _)| if fixed.contains(&b.name) { DESCRIPTORS_PER_PICTURE } else { b.count });
         places.map(u64::from).sum()
     };
     let check = |limit, needed| limits::check(gpu.limits(), limit, shader, needed, "update the driver");
@@ -209,7 +209,7 @@ impl BindGroup {
             .bindings
             .iter()
             .map(|(b, _)| {
-                let is_fixed = layout.fixed.as_ref().is_some_and(|(name, _)| *name == b.name);
+                let is_fixed = layout.fixed.as_ref().is_some_and(|(names, _)| names.contains(&b.name));
                 let descriptor_count = if is_fixed { DESCRIPTORS_PER_PICTURE } else { b.count };
                 vk::DescriptorPoolSize { ty: descriptor_type(b.kind), descriptor_count }
             })
@@ -238,26 +238,27 @@ impl BindGroup {
         Self::new(layout, &binds)
     }
 
-    /// Binds another picture to `name`, of the group's own layout. No submitted work uses the group.
-    pub fn rebind(&mut self, layout: &Layout, name: &str, picture: &YcbcrImage) {
+    /// Binds another image or picture to `name`, of the group's own layout. No submitted work uses the group. Allocates nothing.
+    ///
+    /// # Panics
+    /// With a bind of another kind.
+    pub fn rebind(&mut self, layout: &Layout, name: &str, bind: &Bind<'_>) {
         let binding = layout.find(name);
-        let infos = [of_picture(picture)];
+        let infos = match bind {
+            Bind::Sampled(image, sampler) => [of_sampled(image, sampler)],
+            Bind::Picture(picture) => [of_picture(picture)],
+            _ => panic!("{name}: images and pictures alone are bound anew"),
+        };
         let write = vk::WriteDescriptorSet::default()
             .dst_set(self.set)
             .dst_binding(binding.index)
             .descriptor_type(descriptor_type(binding.kind))
             .image_info(&infos);
-        // SAFETY: no submitted work uses the set; the picture is alive.
+        // SAFETY: no submitted work uses the set; the image is alive.
         unsafe { self.gpu.device().update_descriptor_sets(&[write], &[]) };
     }
 
     fn write(&self, binding: &Binding, bind: &Bind<'_>) -> Result<(), GpuError> {
-        let sampled = |image: &Image, sampler: &Sampler| {
-            vk::DescriptorImageInfo::default()
-                .image_view(image.view)
-                .sampler(sampler.handle)
-                .image_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)
-        };
         let whole = |buffer: &Buffer| {
             check_range(&self.gpu, binding, buffer.size())?;
             Ok(vk::DescriptorBufferInfo::default().buffer(buffer.handle).range(vk::WHOLE_SIZE))
@@ -270,11 +271,11 @@ impl BindGroup {
                 let places = (0..binding.count as usize).map(|at| whole(all.get(at).unwrap_or(&all[0])));
                 buffers = places.collect::<Result<_, GpuError>>()?;
             }
-            Bind::Sampled(image, sampler) => images.push(sampled(image, sampler)),
+            Bind::Sampled(image, sampler) => images.push(of_sampled(image, sampler)),
             Bind::Picture(picture) => images.push(of_picture(picture)),
             Bind::Textures(all) => {
                 assert!(all.len() <= binding.count as usize, "{}: a layout for fewer", binding.name);
-                images.extend(all.iter().map(|(i, s)| sampled(i, s)));
+                images.extend(all.iter().map(|(i, s)| of_sampled(i, s)));
             }
             Bind::Storage(level) => images.push(
                 vk::DescriptorImageInfo::default()
@@ -305,6 +306,13 @@ fn check_range(gpu: &Gpu, binding: &Binding, bytes: u64) -> Result<(), GpuError>
     };
     let what = format!("the buffer {}, in bytes,", binding.name);
     limits::check(gpu.limits(), limit, &what, bytes, "use fewer or smaller models")
+}
+
+fn of_sampled(image: &Image, sampler: &Sampler) -> vk::DescriptorImageInfo {
+    vk::DescriptorImageInfo::default()
+        .image_view(image.view)
+        .sampler(sampler.handle)
+        .image_layout(vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL)
 }
 
 /// The layout has the sampler.

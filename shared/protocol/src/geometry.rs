@@ -23,6 +23,8 @@ pub struct GeometryDelta {
     pub update: UpdateId,
     /// The world's time when the update was begun.
     pub time: WorldTime,
+    /// The world's time that the update's picture is shaded for.
+    pub shaded: WorldTime,
     /// Instances seen for the first time, or with a new quantisation step.
     pub instances: Vec<InstanceInfo>,
     /// What is skinned by the client, as far as it has not been told.
@@ -70,6 +72,7 @@ impl GeometryDelta {
         let Self {
             update,
             time,
+            shaded,
             instances,
             skinned: Skinned { skeletons, meshes, instances: skinned },
             new_rests,
@@ -82,7 +85,7 @@ impl GeometryDelta {
             settled,
             predictions,
         } = self;
-        (*update, *time) = (UpdateId::default(), WorldTime::default());
+        (*update, *time, *shaded) = (UpdateId::default(), WorldTime::default(), WorldTime::default());
         instances.clear();
         skeletons.clear();
         meshes.clear();

@@ -23,6 +23,7 @@ use glam::Vec3;
 use serde::{Deserialize, Serialize, de::DeserializeOwned};
 
 /// What a client says on the control stream.
+#[allow(clippy::large_enum_variant, reason = "a hello is said once a connection")]
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub enum ClientMessage {
     /// The first message: who I am and what I can hold.
@@ -125,6 +126,8 @@ pub struct Capabilities {
     pub motion: MotionMemory,
     /// Pages of the store that it can keep, at most `MAX_STORE_PAGES`.
     pub store_pages: u32,
+    /// Whether a block's colours go from one picture to the next while that is on display.
+    pub blends: bool,
     /// What it decodes, best first.
     pub codecs: Vec<Codec>,
     /// Its eyes, left and right.
@@ -145,6 +148,7 @@ impl Capabilities {
             max_triangles: MAX_TRIANGLES,
             motion: MotionMemory::DEFAULT,
             store_pages: 0,
+            blends: false,
             codecs: vec![Codec::H264],
             eyes,
             eye_extent_pixels,

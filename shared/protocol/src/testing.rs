@@ -30,6 +30,7 @@ pub(crate) fn hello() -> ClientHello {
             max_triangles: 900,
             motion: MotionMemory::DEFAULT,
             store_pages: 6,
+            blends: true,
             codecs: vec![Codec::H264],
             eyes: eyes(),
             eye_extent_pixels: [1832, 1920],

@@ -35,6 +35,7 @@ use shadecast_server::skinning::gpu::{Animation, AnimationCounts, SampleJob};
 use shadecast_server::time::RingPlace;
 use shadecast_server::visibility::culling::Needed;
 use shadecast_server::world::samples::SampleWindow;
+use shadecast_server::world::{SampleTimes, Sampled};
 use std::collections::HashMap;
 use std::ops::Range;
 use std::sync::Arc;
@@ -483,14 +484,23 @@ fn samples_are_computed_once_and_only_for_what_is_needed() {
     let scene = Arc::new(SceneGpu::new(&gpu, scene, &SceneOptions::default()).expect("the scene fits"));
     let mut animation = Animation::new(&gpu, &scene, MOST_PLACES).unwrap();
     let mut window = SampleWindow::new(&scene, &animation);
-    let mut computed_at = |first: i32, looks: [bool; 3], needed: [bool; 2]| {
+    let mut computed_for = |first: i32, looks: [bool; 3], shaded: i32, needed: [bool; 2]| {
         let before = animation.counts().instance_samples;
         let times = [first + 1, first + 2, first + 4].map(|at| GridIndex(at).into());
+        let times = SampleTimes { times, looks, shaded: GridIndex(first + shaded).into() };
         let needed = Needed::from_iter(needed);
         let mut recorder = gpu.record().unwrap();
-        let places = window.record(&mut recorder, &mut animation, DEFAULT_GRID, (times, looks), &needed);
+        let sampled = window.record(&mut recorder, &mut animation, DEFAULT_GRID, times, &needed);
         gpu.wait(recorder.submit().unwrap()).unwrap();
-        (animation.counts().instance_samples - before, places)
+        (animation.counts().instance_samples - before, sampled)
+    };
+    let (computed, Sampled { places, shaded }) = computed_for(80, [true; 3], 3, [true, true]);
+    assert_eq!(computed, 8, "the three times of both, and what the update is shaded for");
+    assert!(!places.contains(&shaded), "{shaded:?} in {places:?}");
+    let mut computed_at = |first: i32, looks: [bool; 3], needed: [bool; 2]| {
+        let (computed, Sampled { places, shaded }) = computed_for(first, looks, 2, needed);
+        assert_eq!(shaded, places[1]);
+        (computed, places)
     };
     let (computed, places) = computed_at(60, [false, true, false], [true, true]);
     assert_eq!(computed, 2, "the middle of both alone");

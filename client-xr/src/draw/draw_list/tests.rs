@@ -92,7 +92,7 @@ fn an_updated_list_equals_a_new_one() {
     for seed in 0..12 {
         let mut rng = StdRng::seed_from_u64(seed);
         let (mut motion, mut patches) = (motion(), Patches::new(PATCHES));
-        let mut newest = NewestList::new(PATCHES, BUNDLES);
+        let mut newest = NewestList::new(PATCHES, BUNDLES, false);
         let (corners, indices) = (newest.corners.len(), newest.indices.len());
         let mut memory = vec![(vec![bytemuck::Zeroable::zeroed(); corners], vec![7; indices]); BUNDLES];
         let mut most = 0;
@@ -157,7 +157,7 @@ fn bytes_that_are_copied_follow_what_has_changed() {
     patches.insert(&all).expect("free");
     let blocks: Vec<_> = all.iter().map(|patch| (patch.slot, Some(block(&mut rng)))).collect();
     patches.place(&blocks).expect("there");
-    let mut newest = NewestList::new(slots, 1);
+    let mut newest = NewestList::new(slots, 1, false);
     let every: Vec<PatchSlot> = all.iter().map(|patch| patch.slot).collect();
     newest.update(&patches, &every, &mut motion);
     let mut memory = (newest.corners.clone(), newest.indices.clone());
@@ -173,4 +173,41 @@ fn bytes_that_are_copied_follow_what_has_changed() {
     let (few, more) = (moved(20), moved(400));
     assert!(few > 0 && few < whole / 50, "{few} of {whole}");
     assert!(more > few && more < whole / 3, "{more} of {whole}");
+}
+
+/// By update: every block is new once, and kept from the next list on until it changes.
+#[test]
+fn a_block_is_kept_from_the_list_after_its_first_on() {
+    let mut rng = StdRng::seed_from_u64(3);
+    let (mut motion, mut patches) = (motion(), Patches::new(PATCHES));
+    let mut newest = NewestList::new(PATCHES, 1, true);
+    let mut memory: (Vec<CornerGpu>, Vec<u32>) =
+        (vec![bytemuck::Zeroable::zeroed(); newest.corners.len()], vec![0; newest.indices.len()]);
+    let (mut kept, mut new) = (0, 0);
+    for _ in 0..200 {
+        let mut changed = std::collections::BTreeSet::new();
+        for _ in 0..rng.random_range(0..6) {
+            let slot = PatchSlot(rng.random_range(0..PATCHES));
+            match patches.get(slot).map(|patch| patch.block.is_some()) {
+                None => patches.insert(&[new_patch(&mut rng, slot.0)]).expect("free"),
+                Some(true) if rng.random() => patches.place(&[(slot, None)]).expect("there"),
+                Some(_) => patches.place(&[(slot, Some(block(&mut rng)))]).expect("there"),
+            }
+            changed.insert(slot);
+        }
+        let list: Vec<_> = changed.iter().copied().collect();
+        newest.update(&patches, &list, &mut motion);
+        newest.copy_to(0, (&mut memory.0, &mut memory.1));
+        for (slot, patch) in patches.iter().filter(|(_, patch)| patch.block.is_some()) {
+            let corners = &memory.0[slot.index() * MAX_CORNERS_PER_PATCH..][..patch.kind.vertex_count()];
+            let is_kept = !changed.contains(&slot);
+            assert!(corners.iter().all(|corner| (corner.block[0] & IS_KEPT != 0) == is_kept), "{slot:?}");
+            *if is_kept { &mut kept } else { &mut new } += 1;
+        }
+        assert_eq!(
+            newest.has_fresh(),
+            list.iter().any(|slot| patches.get(*slot).is_some_and(|p| p.block.is_some()))
+        );
+    }
+    assert!(kept > 100 && new > 100, "{kept} kept, {new} new");
 }

@@ -57,10 +57,20 @@ pub struct Lookup {
     pub chroma: Chroma,
 }
 
+/// Where the colours of blocks are.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Colours {
+    /// How they are looked up.
+    pub lookup: Lookup,
+    /// Blocks may be in the store.
+    pub has_store: bool,
+    /// They go from one picture to the next while that is on display.
+    pub blends: bool,
+}
+
 /// The pipelines.
 pub struct AtlasDraw {
-    chroma: Chroma,
-    has_store: bool,
+    colours: Colours,
     ways: Ways,
     sampler: Sampler,
     settle: Settle,
@@ -91,12 +101,15 @@ pub struct Shared<'a> {
 pub struct PictureWays {
     gpu: Arc<Gpu>,
     pass: Arc<RenderPass>,
-    has_store: bool,
+    colours: Colours,
     made: Option<(Arc<YcbcrSampler>, Arc<OfPictures>)>,
 }
 
 /// A bundle's bindings for both, one per frame in flight.
 type Groups = [[BindGroup; FRAMES_IN_FLIGHT]; 2];
+
+/// A picture that the device has, and what draws it.
+pub type OnDevice = (DevicePicture, Arc<OfPictures>);
 
 /// What the CPU makes of a bundle: a worker writes it, the render thread lets the GPU read it. A connection has [`BUNDLES`].
 pub struct BundleMemory {
@@ -111,13 +124,20 @@ pub struct BundleMemory {
     /// The picture, where the CPU has it.
     pub planes: PlaneStaging,
     /// The picture, where the device has it, and what draws it; it counts where it is there.
-    pub on_device: Option<(DevicePicture, Arc<OfPictures>)>,
+    pub on_device: Option<OnDevice>,
     /// The blocks of the picture that settle.
     pub settled: SettleTiles,
 }
 
-/// One on display, one that is made, and one that the device may still read.
+/// One on display, one that is made, and one that the device may still read. The planes of the last are also what a client blends
+/// from: they change when the next bundle is shown, not when it is made.
 pub const BUNDLES: usize = 3;
+
+/// Bindings of planes: of the picture on display, and of the one before it.
+const PLANES: [&str; 3] = ["luma_plane", "cb_plane", "cr_plane"];
+const PLANES_BEFORE: [&str; 3] = ["luma_before", "cb_before", "cr_before"];
+/// Bindings of both where each is one image.
+const PICTURES: &[&str] = &["picture", "picture_before"];
 
 /// A bundle's images, and the bindings of its memory.
 pub struct BundleSet {
@@ -235,17 +255,16 @@ impl EyeTargets {
 }
 
 impl AtlasDraw {
-    /// The pipelines for `pass`. With `has_store`, blocks may be looked up in the store.
-    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, lookup: Lookup, has_store: bool) -> Result<Self, GpuError> {
-        let Lookup { reconstruction, chroma } = lookup;
-        let (fragment, masked) = match reconstruction {
+    /// The pipelines for `pass`.
+    pub fn new(gpu: &Arc<Gpu>, pass: &RenderPass, colours: Colours) -> Result<Self, GpuError> {
+        let (fragment, masked) = match colours.lookup.reconstruction {
             Reconstruction::Bilinear => (&CLIENT_ATLAS_FRAG, &CLIENT_ATLAS_MASKED_FRAG),
             Reconstruction::Bicubic => (&CLIENT_ATLAS_BICUBIC_FRAG, &CLIENT_ATLAS_MASKED_BICUBIC_FRAG),
         };
-        let ways = Ways::new(gpu, pass, [fragment, masked], (has_store, None))?;
+        let ways = Ways::new(gpu, pass, [fragment, masked], (colours, None))?;
         let sampler = SamplerDesc::clamped(vk::Filter::LINEAR);
         let (sampler, settle) = (Sampler::new(gpu, sampler)?, Settle::new(gpu)?);
-        Ok(Self { chroma, has_store, ways, sampler, settle })
+        Ok(Self { colours, ways, sampler, settle })
     }
 
     /// Memory for a bundle of a connection with these capacities.
@@ -265,7 +284,7 @@ impl AtlasDraw {
             corners: Buffer::new(gpu, "corners", corner_bytes, Memory::Upload)?,
             indices: Buffer::new(gpu, "indices", index_bytes, Memory::Upload)?,
             coverage: Buffer::new(gpu, "coverage", CoverageMap::byte_count(extent), Memory::Upload)?,
-            planes: PlaneStaging::new(gpu, extent, self.chroma)?,
+            planes: PlaneStaging::new(gpu, extent, self.colours.lookup.chroma)?,
             on_device: None,
             settled: match has_store {
                 true => SettleTiles::new(gpu, extent, patch_slots)?,
@@ -283,12 +302,45 @@ impl AtlasDraw {
         extent: AtlasExtent,
         shared: Shared<'_>,
     ) -> Result<BundleSet, GpuError> {
-        let planes = Planes::new(gpu, recorder, extent, self.chroma)?;
-        let [luma, cb, cr] = planes.images.each_ref().map(|plane| Bind::Sampled(plane, &self.sampler));
-        let pictures = [("luma_plane", luma), ("cb_plane", cb), ("cr_plane", cr)];
+        let planes = Planes::new(gpu, recorder, extent, self.colours.lookup.chroma)?;
+        let pictures = [self.planes_as(PLANES, &planes), self.planes_as(PLANES_BEFORE, &planes)].concat();
         let groups = self.ways.bind(bundle, shared, &self.settle.sampler, &pictures)?;
         let settle = self.settle.bind(&bundle.settled, shared.store, &planes, &self.sampler)?;
         Ok(BundleSet { planes, groups, settle, of_picture: None })
+    }
+
+    fn planes_as<'a>(
+        &'a self,
+        names: [&'static str; 3],
+        planes: &'a Planes,
+    ) -> [(&'static str, Bind<'a>); 3] {
+        std::array::from_fn(|plane| (names[plane], Bind::Sampled(&planes.images[plane], &self.sampler)))
+    }
+
+    /// Whether colours go from one picture to the next.
+    pub fn blends(&self) -> bool {
+        self.colours.blends
+    }
+
+    /// Lets draws of `now` blend from the picture before: of `before`, or the one that the device has. The GPU is done with what `now`
+    /// was used for. False where it cannot.
+    pub fn bind_before(
+        &self,
+        (now, memory): (&mut BundleSet, &BundleMemory),
+        (before, on_device): (&BundleSet, Option<&OnDevice>),
+    ) -> bool {
+        match (&memory.on_device, on_device, &mut now.of_picture) {
+            (None, None, _) => {
+                self.ways.rebind(&mut now.groups, &self.planes_as(PLANES_BEFORE, &before.planes));
+                true
+            }
+            (Some((_, ways)), Some((picture, same)), Some(bound)) if Arc::ptr_eq(ways, same) => {
+                let picture = Bind::Picture(&picture.image);
+                ways.draw.rebind(&mut bound.groups, &[("picture_before", picture)]);
+                true
+            }
+            _ => false,
+        }
     }
 
     /// Puts the picture of `bundle` where its draw finds it, and copies the blocks of it that settle to the store. The GPU is done
@@ -327,11 +379,12 @@ impl AtlasDraw {
     ) -> Result<(), GpuError> {
         match &mut set.of_picture {
             Some(bound) if Arc::ptr_eq(&bound.ways, ways) => {
-                ways.draw.rebind(&mut bound.groups, image);
+                let picture = Bind::Picture(image);
+                ways.draw.rebind(&mut bound.groups, &[("picture", picture), ("picture_before", picture)]);
                 bound.settle.iter_mut().for_each(|group| ways.settle.rebind(group, image));
             }
             bound => {
-                let pictures = [("picture", Bind::Picture(image))];
+                let pictures = [("picture", Bind::Picture(image)), ("picture_before", Bind::Picture(image))];
                 *bound = Some(PictureSet {
                     ways: ways.clone(),
                     groups: ways.draw.bind(bundle, shared, &self.settle.sampler, &pictures)?,
@@ -383,13 +436,13 @@ impl Ways {
         gpu: &Arc<Gpu>,
         pass: &RenderPass,
         [fragment, masked]: [&Shader; 2],
-        (has_store, fixed): (bool, Option<FixedSampler>),
+        (colours, fixed): (Colours, Option<FixedSampler>),
     ) -> Result<Self, GpuError> {
         let pipeline = |vertex, fragment| {
             let desc = GraphicsPipelineDesc {
                 cull: vk::CullModeFlags::BACK,
                 depth_write: Some(true),
-                constants: &[u32::from(has_store)],
+                constants: &[u32::from(colours.has_store), u32::from(colours.blends)],
                 ..GraphicsPipelineDesc::new(vertex, fragment, pass)
             };
             GraphicsPipeline::fixing(gpu, &desc, fixed.clone())
@@ -425,10 +478,12 @@ impl Ways {
         Ok([of(&self.0[0])?, of(&self.0[1])?])
     }
 
-    /// The same with another picture of the same kind.
-    fn rebind(&self, groups: &mut Groups, picture: &YcbcrImage) {
+    /// The same with other pictures of the same kind.
+    fn rebind(&self, groups: &mut Groups, pictures: &[(&str, Bind<'_>)]) {
         for (pipeline, groups) in self.0.iter().zip(groups) {
-            groups.iter_mut().for_each(|group| group.rebind(pipeline.layout(), "picture", picture));
+            for group in groups {
+                pictures.iter().for_each(|(name, picture)| group.rebind(pipeline.layout(), name, picture));
+            }
         }
     }
 }
@@ -436,7 +491,7 @@ impl Ways {
 impl PictureWays {
     /// None yet, for `pass`, in place of those of `draw`.
     pub fn new(gpu: &Arc<Gpu>, pass: &Arc<RenderPass>, draw: &AtlasDraw) -> Self {
-        Self { gpu: gpu.clone(), pass: pass.clone(), has_store: draw.has_store, made: None }
+        Self { gpu: gpu.clone(), pass: pass.clone(), colours: draw.colours, made: None }
     }
 
     /// The device, for decoders whose pictures are in its memory.
@@ -457,8 +512,8 @@ impl PictureWays {
             false => [&CLIENT_ATLAS_PICTURE_FRAG, &CLIENT_ATLAS_MASKED_PICTURE_FRAG],
             true => [&CLIENT_ATLAS_COSITED_FRAG, &CLIENT_ATLAS_MASKED_COSITED_FRAG],
         };
-        let fixed = Some(("picture", sampler.clone()));
-        let draw = Ways::new(&self.gpu, &self.pass, shaders, (self.has_store, fixed))?;
+        let fixed = Some((PICTURES, sampler.clone()));
+        let draw = Ways::new(&self.gpu, &self.pass, shaders, (self.colours, fixed))?;
         let ways = Arc::new(OfPictures { draw, settle: SettlePicture::new(&self.gpu, sampler)? });
         self.made = Some((sampler.clone(), ways.clone()));
         Ok(ways)

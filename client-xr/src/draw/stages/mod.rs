@@ -20,7 +20,7 @@ pub mod text;
 pub mod upload;
 
 use crate::display::EyeImages;
-use atlas_draw::{AtlasDraw, EyeTargets, Lookup, eye_buffers};
+use atlas_draw::{AtlasDraw, Colours, EyeTargets, eye_buffers};
 use background::Background;
 use glam::{Mat4, Vec3, Vec4};
 use hands::Hands;
@@ -83,12 +83,12 @@ pub struct Stages {
 }
 
 impl Stages {
-    /// Pipelines and targets for `eyes`. With `has_store`, blocks may be looked up in the store.
+    /// Pipelines and targets for `eyes`. `colours`: where those of blocks are.
     pub fn new(
         gpu: &Arc<Gpu>,
         eyes: EyeImages<'_>,
         samples: vk::SampleCountFlags,
-        (lookup, has_store): (Lookup, bool),
+        colours: Colours,
     ) -> Result<Self, GpuError> {
         let targets = EyeTargets::new(gpu, eyes, samples)?;
         let eyes = eye_buffers(gpu)?;
@@ -99,7 +99,7 @@ impl Stages {
                 let (scatter, interpolate) = (Scatter::new(gpu)?, Interpolate::new(gpu)?);
                 Ok((scatter, interpolate, PoseStage::new(gpu)?, Skin::new(gpu)?))
             });
-            let atlas = scope.spawn(|| AtlasDraw::new(gpu, pass, lookup, has_store));
+            let atlas = scope.spawn(|| AtlasDraw::new(gpu, pass, colours));
             let background = scope.spawn(|| Background::new(gpu, pass, of_eyes));
             let hands = scope.spawn(|| Hands::new(gpu, pass, of_eyes));
             let notices = (Notice::new(gpu, pass, of_eyes)?, Notice::new(gpu, pass, of_eyes)?);
@@ -173,6 +173,7 @@ pub fn eyes_gpu(world_from_eye: [Pose; 2], space_from_eye: [Pose; 2], fov: [Fov;
         clip_from_world: [clip_from_world(0), clip_from_world(1)].map(|m| m.to_cols_array_2d()),
         space_from_clip_direction: [direction(0), direction(1)].map(|m| m.to_cols_array_2d()),
         space_eye: [position(0), position(1)],
+        blend: [1.0, 0.0, 0.0, 0.0],
     }
 }
 

@@ -221,7 +221,7 @@ impl SettlePicture {
             false => &CLIENT_SETTLE_PICTURE_COMP,
             true => &CLIENT_SETTLE_COSITED_COMP,
         };
-        Ok(Self(ComputePipeline::fixing(gpu, shader, ("picture", sampler.clone()))?))
+        Ok(Self(ComputePipeline::fixing(gpu, shader, (&["picture"], sampler.clone()))?))
     }
 
     /// Binds what a bundle says, and its picture; `None` without pages.
@@ -242,7 +242,7 @@ impl SettlePicture {
 
     /// Binds another picture of the same kind.
     pub fn rebind(&self, group: &mut BindGroup, picture: &YcbcrImage) {
-        group.rebind(self.0.layout(), "picture", picture);
+        group.rebind(self.0.layout(), "picture", &Bind::Picture(picture));
     }
 }
 

@@ -244,7 +244,7 @@ impl Bench {
             corners: vec![bytemuck::Zeroable::zeroed(); PATCH_SLOTS as usize * MAX_CORNERS_PER_PATCH],
             indices: vec![0; PATCH_SLOTS as usize * MAX_INDICES_PER_PATCH],
             list: DrawList::of_capacity(PATCH_SLOTS),
-            newest: NewestList::new(PATCH_SLOTS, BUNDLES),
+            newest: NewestList::new(PATCH_SLOTS, BUNDLES, false),
             others: vec![
                 (
                     vec![bytemuck::Zeroable::zeroed(); PATCH_SLOTS as usize * MAX_CORNERS_PER_PATCH],

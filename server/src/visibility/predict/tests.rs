@@ -68,7 +68,7 @@ fn in_a_world_that_stands_the_head_goes_on() {
 #[test]
 fn shading_is_for_the_middle_of_the_frames_that_show_it() {
     const FRAME_NS: i64 = 13_888_889;
-    let mut track = HeadTrack::new(FRAME_NS);
+    let mut track = HeadTrack::new(DisplayTiming { period_ns: FRAME_NS, blends: false });
     track.head(state(0, 1.0, 0.0, 0.0));
     // On display for three frames each, at 41.7, 55.6 and 69.4 ms after its start.
     for update in 0..20 {

@@ -347,7 +347,7 @@ impl DeltaDecoder {
 
     fn decode_next(&mut self, bytes: &[u8]) -> Result<Delta, WireError> {
         check_count("a delta's length in bytes", bytes.len(), MAX_DELTA_BYTES)?;
-        let (head, time, sections) = split_sections(bytes)?;
+        let (head, [time, shaded], sections) = split_sections(bytes)?;
         let [instances, skinned, rests, samples, coded, predicted, coverage, settled] = sections;
         let vertex_slots = self.memory.vertex_slots() as usize;
         let patch_slots = self.memory.patch_slots() as usize;
@@ -355,6 +355,7 @@ impl DeltaDecoder {
         let geometry = GeometryDelta {
             update: head.update,
             time,
+            shaded,
             instances: take_instances(instances)?,
             skinned: take_skinned(skinned)?,
             new_rests: take_rests(rests)?,
@@ -419,6 +420,7 @@ fn put_header_and(
     out.extend_from_slice(&geometry.update.0.to_le_bytes());
     out.push(is_update as u8);
     out.extend_from_slice(&geometry.time.0.to_le_bytes());
+    out.extend_from_slice(&geometry.shaded.0.to_le_bytes());
     for section in sections {
         put_varint(&mut out, section.len() as u32);
     }
@@ -426,11 +428,14 @@ fn put_header_and(
     out
 }
 
-fn split_sections(bytes: &[u8]) -> Result<(DeltaHead, WorldTime, [&[u8]; SECTIONS]), WireError> {
+/// A delta's head, when it was begun and what it is shaded for, and its sections.
+type Split<'a> = (DeltaHead, [WorldTime; 2], [&'a [u8]; SECTIONS]);
+
+fn split_sections(bytes: &[u8]) -> Result<Split<'_>, WireError> {
     let head = peek_delta(bytes)?;
     let mut reader = Reader::new("a delta's header", bytes);
     reader.take(DeltaHead::BYTES)?;
-    let time = WorldTime(reader.i64()?);
+    let times = [WorldTime(reader.i64()?), WorldTime(reader.i64()?)];
     let mut lengths = [0; SECTIONS];
     for length in &mut lengths {
         *length = reader.varint()? as usize;
@@ -441,7 +446,7 @@ fn split_sections(bytes: &[u8]) -> Result<(DeltaHead, WorldTime, [&[u8]; SECTION
         *section = reader.take(length)?;
     }
     reader.finish()?;
-    Ok((head, time, sections))
+    Ok((head, times, sections))
 }
 
 #[cfg(test)]

@@ -91,6 +91,9 @@ pub(super) struct RunArgs {
     /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]
     room: Room,
+    /// The client shows the newest picture alone, and does not blend from the one before it
+    #[arg(long)]
+    no_blend: bool,
     /// Pages that the client offers to keep for blocks that do not change, of 2048x2048 texels; 0: none
     #[arg(long, value_name = "N", default_value_t = USUAL_STORE_PAGES, value_parser = value_parser!(u32).range(0..=i64::from(MAX_STORE_PAGES)))]
     store_pages: u32,
@@ -175,6 +178,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         shade_texels: args.shade_texels,
         room: args.room,
         store_pages: args.store_pages,
+        blends: !args.no_blend,
         seed: args.seed,
         dump_every: args.dump_every,
         compare_every: args.compare_every,

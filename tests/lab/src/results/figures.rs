@@ -121,6 +121,7 @@ fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "slow-dragons3" => printed::<Slow>(name, results)?,
         "live-window-dragons3" | "live-mock-dragons3" => printed::<Live>(name, results)?,
         "budget" => crate::results::budget::table(),
+        "memory" => crate::results::budget::memory_table(),
         name if name.starts_with("causes-") => printed::<Causes>(name, results)?,
         "bars" => format!("```text\n{}\n```\n", Bars::parse(BARS)?.check(results)),
         other => bail!("there is no table \"{other}\""),

@@ -383,6 +383,7 @@ impl Lab {
             max_patch_slots: options.room.patches,
             max_triangles: options.room.triangles,
             store_pages: Some(options.store_pages),
+            blends: Some(options.blends),
             lookup: Lookup {
                 reconstruction: options.reconstruction,
                 chroma: options.spared.arrival.chroma(),
@@ -643,6 +644,7 @@ pub fn hello(options: &RunOptions, eye_extent_pixels: [u32; 2]) -> ClientHello {
         max_patch_slots: options.room.patches,
         max_triangles: options.room.triangles,
         store_pages: options.store_pages,
+        blends: options.blends,
         codecs: options.medium().codecs.to_vec(),
         ..Capabilities::most(eyes, eye_extent_pixels, display_period_ns)
     };

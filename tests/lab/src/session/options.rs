@@ -268,6 +268,8 @@ pub struct RunOptions {
     pub room: Room,
     /// Pages that the clients offer to keep for blocks that do not change; 0: none.
     pub store_pages: u32,
+    /// The client blends from one picture to the next.
+    pub blends: bool,
     /// Texels that an update may shade again; all where it is `None`.
     pub shade_texels: Option<u64>,
     /// Updates per second.
@@ -316,6 +318,7 @@ impl RunOptions {
             surround: 0.0, // what is around costs tests time, and few look there
             room: USUAL_ROOM,
             store_pages: USUAL_STORE_PAGES,
+            blends: true,
             shade_texels: None,
             rate_hz: 30.0,
             refresh_hz: 72.0,
@@ -379,6 +382,9 @@ impl RunOptions {
             line += &format!(" --detail {}", self.detail_pixels);
         }
         line += &format!(" --surround {}", self.surround);
+        if !self.blends {
+            line += " --no-blend";
+        }
         if self.store_pages != usual.store_pages {
             line += &format!(" --store-pages {}", self.store_pages);
         }

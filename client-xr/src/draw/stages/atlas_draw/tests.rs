@@ -19,6 +19,7 @@ use shadecast_protocol::message::MotionMemory;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_shaders::color::{linear_from_srgb, srgb_from_linear};
+use shadecast_shaders::constants::IS_KEPT;
 use shadecast_shaders::twin::atlas_lookup::{Plane, inside_block};
 
 const SIDE: u32 = 128;
@@ -28,6 +29,8 @@ const VERTICES: u32 = PATCHES * 4;
 /// Luma and both differences of the blocks, and of all between them.
 const OWN: [u8; 3] = [54, 99, 255];
 const FOREIGN: [u8; 3] = [182, 30, 12];
+/// Of a block's colour, where the picture before has it too.
+const NEWEST_PART: f32 = 0.25;
 
 /// Blocks of each size, none beside another.
 fn blocks() -> Vec<Block> {
@@ -143,7 +146,8 @@ impl Bench {
         let mut eyes = eye_buffers(&gpu).unwrap();
         let as_they_are = [Mat4::IDENTITY.to_cols_array_2d(); 2];
         let usual = eyes_gpu([Pose::IDENTITY; 2], [Pose::IDENTITY; 2], [Fov::symmetric_degrees(90.0); 2]);
-        let eyes_in_clip_space = EyesGpu { clip_from_world: as_they_are, ..usual };
+        let blend = [NEWEST_PART, 0.0, 0.0, 0.0];
+        let eyes_in_clip_space = EyesGpu { clip_from_world: as_they_are, blend, ..usual };
         eyes.iter_mut().for_each(|buffer| buffer.write(0, bytemuck::bytes_of(&eyes_in_clip_space)));
         Self { gpu, image, targets, memory, eyes, store, has_store: pages > 0 }
     }
@@ -178,25 +182,65 @@ impl Bench {
         lookup: Lookup,
         coverage: &CoverageMap,
     ) -> Vec<u8> {
+        let colours = Colours { lookup, has_store: self.has_store, blends: false };
+        self.draw_in(shown, picture, colours, coverage, None)
+    }
+
+    /// The same with a picture before, and by patch whether that has its block.
+    fn draw_in(
+        &self,
+        shown: &Patches,
+        picture: &Picture,
+        colours: Colours,
+        coverage: &CoverageMap,
+        before: Option<(&Picture, &[bool])>,
+    ) -> Vec<u8> {
         let gpu = &self.gpu;
         let mut recorder = gpu.record().unwrap();
         let positions = Buffer::upload(gpu, "positions", &shown.positions).unwrap();
         recorder.copy_buffer(&positions, 0, &self.memory.positions, 0, positions.size());
-        let stage = AtlasDraw::new(gpu, &self.targets.pass, lookup, self.has_store).unwrap();
+        let stage = AtlasDraw::new(gpu, &self.targets.pass, colours).unwrap();
         let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS, false).unwrap();
         let shared = self.shared();
         let mut set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, shared).unwrap();
         let corners: &mut [CornerGpu] = bytemuck::cast_slice_mut(bundle.corners.bytes_mut());
         let indices: &mut [u32] = bytemuck::cast_slice_mut(bundle.indices.bytes_mut());
         let mut writer = ListWriter::new(corners, indices);
-        shown.patches.iter().for_each(|patch| writer.write(patch));
+        let mut firsts = vec![0];
+        for patch in &shown.patches {
+            writer.write(patch);
+            firsts.push(writer.corner_count());
+        }
         let mut drawn = Drawable { opaque: writer.index_count(), ..Drawable::default() };
+        for (number, _) in
+            before.iter().flat_map(|(_, kept)| kept.iter().enumerate()).filter(|(_, kept)| **kept)
+        {
+            corners[firsts[number]..firsts[number + 1]]
+                .iter_mut()
+                .for_each(|corner| corner.block[0] |= IS_KEPT);
+        }
         bundle.coverage.write(0, bytemuck::cast_slice(coverage.words()));
         if shown.patches.iter().any(|patch| patch.is_masked) {
             drawn = Drawable { cutouts: [0, drawn.opaque], ..Drawable::default() };
         }
         self.fill(&stage, &mut bundle, picture);
         stage.record_picture(&mut recorder, &mut set, &bundle, shared).unwrap();
+        let mut kept_alive = None;
+        if let Some((picture, _)) = before {
+            let mut bundle_before = stage.bundle_memory(gpu, 1, PATCHES, ATLAS, false).unwrap();
+            let mut set_before = stage.bundle_set(gpu, &mut recorder, &bundle_before, ATLAS, shared).unwrap();
+            self.fill(&stage, &mut bundle_before, picture);
+            // As a decoder does, whose pictures are of one format.
+            if let (Some((_, ways)), Some((_, of_before))) = (&bundle.on_device, &mut bundle_before.on_device)
+            {
+                *of_before = ways.clone();
+            }
+            stage.record_picture(&mut recorder, &mut set_before, &bundle_before, shared).unwrap();
+            let blends = colours.blends
+                && stage.bind_before((&mut set, &bundle), (&set_before, bundle_before.on_device.as_ref()));
+            assert_eq!(blends, colours.blends);
+            kept_alive = Some((set_before, bundle_before));
+        }
         recorder.barrier(Access::COPY_WRITE, Access::VERTEX_READ);
         self.targets.begin(&mut recorder, 0);
         stage.record(&mut recorder, &set, &bundle, 0, drawn);
@@ -207,6 +251,7 @@ impl Bench {
         recorder.read_image(&self.image, 0, &readback, 0);
         recorder.barrier(Access::COPY_WRITE, Access::HOST_READ);
         gpu.wait(recorder.submit().unwrap()).unwrap();
+        drop(kept_alive);
         readback.bytes().to_vec()
     }
 }
@@ -310,9 +355,22 @@ fn gpu_and_twin_agree_on_what_a_cutout_leaves() {
 
 /// The same picture on the device, in one image of this format, as a platform's decoder leaves it.
 fn on_device(gpu: &Arc<Gpu>, picture: &Picture, format: vk::Format) -> Picture {
+    on_device_for(gpu, picture, format, &sampler_of(gpu, format))
+}
+
+fn sampler_of(gpu: &Arc<Gpu>, format: vk::Format) -> Arc<YcbcrSampler> {
+    YcbcrSampler::new(gpu, YcbcrFormat::Known(format)).expect("a software device samples it")
+}
+
+/// The same for a sampler that several may share.
+fn on_device_for(
+    gpu: &Arc<Gpu>,
+    picture: &Picture,
+    format: vk::Format,
+    sampler: &Arc<YcbcrSampler>,
+) -> Picture {
     let Picture::Planes(picture) = picture else { panic!("made of planes") };
-    let sampler = YcbcrSampler::new(gpu, YcbcrFormat::Known(format)).expect("a software device samples it");
-    let image = YcbcrImage::new(gpu, &sampler, ATLAS.texels()).unwrap();
+    let image = YcbcrImage::new(gpu, sampler, ATLAS.texels()).unwrap();
     let [luma, cb, cr] = picture.planes();
     let planes = match format {
         vk::Format::G8_B8R8_2PLANE_420_UNORM => {
@@ -378,4 +436,5 @@ fn a_multi_plane_image_has_the_colours_of_its_planes() {
     assert_eq!(bench.gpu.validation_messages(), 0, "{:?}", bench.gpu.validation_texts());
 }
 
+mod blend_tests;
 mod stored_tests;

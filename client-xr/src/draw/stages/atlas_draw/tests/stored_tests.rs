@@ -10,7 +10,9 @@ impl Bench {
     fn settle(&self, picture: &Picture, blocks: &[(Block, Block)]) {
         let gpu = &self.gpu;
         let mut recorder = gpu.record().unwrap();
-        let stage = AtlasDraw::new(gpu, &self.targets.pass, Lookup::default(), true).unwrap();
+        let stage =
+            AtlasDraw::new(gpu, &self.targets.pass, Colours { has_store: true, ..Colours::default() })
+                .unwrap();
         let mut bundle = stage.bundle_memory(gpu, 0, PATCHES, ATLAS, true).unwrap();
         let mut set = stage.bundle_set(gpu, &mut recorder, &bundle, ATLAS, self.shared()).unwrap();
         self.fill(&stage, &mut bundle, picture);
