@@ -75,22 +75,22 @@ const ROWS: &[Row] = &[
     ("maxDrawIndexedIndexValue", [(1 << 24) - 1, 0], |l| &mut l.core.max_draw_indexed_index_value),
     ("maxBoundDescriptorSets", [1, 1], |l| &mut l.core.max_bound_descriptor_sets),
     ("maxPushConstantsSize", [80, 40], |l| &mut l.core.max_push_constants_size),
-    ("maxUniformBufferRange", [3840, 288], |l| &mut l.core.max_uniform_buffer_range),
+    ("maxUniformBufferRange", [3840, 304], |l| &mut l.core.max_uniform_buffer_range),
     // The server's saved vertices, the client's samples.
     ("maxStorageBufferRange", [128 << 20, 128 << 20], |l| &mut l.core.max_storage_buffer_range),
     ("maxPerStageDescriptorUniformBuffers", [2, 2], |l| &mut l.core.max_per_stage_descriptor_uniform_buffers),
     ("maxPerStageDescriptorStorageBuffers", [14, 10], |l| &mut l.core.max_per_stage_descriptor_storage_buffers),
     // A texture and the shadow map; the store, and three planes or a picture of a platform's format.
-    (SAMPLERS, [2, 5], |l| &mut l.core.max_per_stage_descriptor_samplers),
-    ("maxPerStageDescriptorSampledImages", [2, 5], |l| &mut l.core.max_per_stage_descriptor_sampled_images),
+    (SAMPLERS, [2, 9], |l| &mut l.core.max_per_stage_descriptor_samplers),
+    ("maxPerStageDescriptorSampledImages", [2, 9], |l| &mut l.core.max_per_stage_descriptor_sampled_images),
     // Two mip levels of the store.
     ("maxPerStageDescriptorStorageImages", [0, 2], |l| &mut l.core.max_per_stage_descriptor_storage_images),
     // Attachments count.
     ("maxPerStageResources", [17, 10], |l| &mut l.core.max_per_stage_resources),
     ("maxDescriptorSetUniformBuffers", [2, 2], |l| &mut l.core.max_descriptor_set_uniform_buffers),
     ("maxDescriptorSetStorageBuffers", [14, 10], |l| &mut l.core.max_descriptor_set_storage_buffers),
-    ("maxDescriptorSetSamplers", [2, 5], |l| &mut l.core.max_descriptor_set_samplers),
-    ("maxDescriptorSetSampledImages", [2, 5], |l| &mut l.core.max_descriptor_set_sampled_images),
+    ("maxDescriptorSetSamplers", [2, 9], |l| &mut l.core.max_descriptor_set_samplers),
+    ("maxDescriptorSetSampledImages", [2, 9], |l| &mut l.core.max_descriptor_set_sampled_images),
     ("maxDescriptorSetStorageImages", [0, 2], |l| &mut l.core.max_descriptor_set_storage_images),
     // The curves of one path.
     ("maxComputeSharedMemorySize", [0, 48], |l| &mut l.core.max_compute_shared_memory_size),

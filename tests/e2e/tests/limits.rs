@@ -64,7 +64,7 @@ fn need(needs: Needs, name: &str) -> u32 {
 
 /// Bindings of a shader by number, with kind and places: an open array has one at least, a decoder's picture one for each plane.
 fn bindings(shader: &Shader) -> BTreeMap<u32, (BindingKind, u32)> {
-    let is_picture = |name| name == "picture" && shader.name.starts_with("client_");
+    let is_picture = |name: &str| name.starts_with("picture") && shader.name.starts_with("client_");
     let places = |name, count: u32| if is_picture(name) { PICTURE_PLANES } else { count.max(1) };
     shader.bindings.iter().map(|b| (b.index, (b.kind, places(b.name, b.count)))).collect()
 }

@@ -109,7 +109,8 @@ impl Cause {
             Self::Reconstruction => RunOptions { reconstruction: Reconstruction::Bicubic, ..run.clone() },
             Self::ShadowTime => {
                 let shading_times = shipped.compared.iter().copied().collect();
-                policy(UpdatePolicy { shading_times, ..UpdatePolicy::default() })
+                let exact = policy(UpdatePolicy { shading_times, ..UpdatePolicy::default() });
+                RunOptions { blends: false, ..exact } // what is shaded for its frame is not mixed
             }
             Self::ShadowResolution => RunOptions {
                 scene_options: SceneOptions { shadow_doublings: 1, ..run.scene_options },
