@@ -80,13 +80,13 @@ const ROWS: &[Row] = &[
     ("maxStorageBufferRange", [128 << 20, 128 << 20], |l| &mut l.core.max_storage_buffer_range),
     ("maxPerStageDescriptorUniformBuffers", [2, 2], |l| &mut l.core.max_per_stage_descriptor_uniform_buffers),
     ("maxPerStageDescriptorStorageBuffers", [14, 10], |l| &mut l.core.max_per_stage_descriptor_storage_buffers),
-    // A texture and the shadow map; the store, and three planes or a picture of a platform's format.
+    // A texture and the shadow map; the store, and two pictures: three planes each, or one of a platform's format.
     (SAMPLERS, [2, 9], |l| &mut l.core.max_per_stage_descriptor_samplers),
     ("maxPerStageDescriptorSampledImages", [2, 9], |l| &mut l.core.max_per_stage_descriptor_sampled_images),
     // Two mip levels of the store.
     ("maxPerStageDescriptorStorageImages", [0, 2], |l| &mut l.core.max_per_stage_descriptor_storage_images),
     // Attachments count.
-    ("maxPerStageResources", [17, 10], |l| &mut l.core.max_per_stage_resources),
+    ("maxPerStageResources", [17, 11], |l| &mut l.core.max_per_stage_resources),
     ("maxDescriptorSetUniformBuffers", [2, 2], |l| &mut l.core.max_descriptor_set_uniform_buffers),
     ("maxDescriptorSetStorageBuffers", [14, 10], |l| &mut l.core.max_descriptor_set_storage_buffers),
     ("maxDescriptorSetSamplers", [2, 9], |l| &mut l.core.max_descriptor_set_samplers),

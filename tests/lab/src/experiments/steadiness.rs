@@ -144,6 +144,7 @@ fn compare(updates: &ViewerUpdates, shaded: &Shaded, before: &Last, now: &Last) 
     let nothing = GeometryDelta {
         update: geometry.update,
         time: geometry.time,
+        shaded: geometry.shaded,
         evicted_patches: geometry.evicted_patches.clone(),
         evicted_vertices: geometry.evicted_vertices.clone(),
         ..GeometryDelta::default()
