@@ -154,7 +154,7 @@ mod tests {
     fn no_two_vertices_share_a_place() {
         let mut rng = SmallRng::seed_from_u64(31);
         for case in 0..200 {
-            let largest = [50, 40_000, 1_500_000][case % 3];
+            let largest = [50, 40_000, 1_200_000][case % 3];
             let instance = |_| InstanceVertices { count: rng.random_range(1..largest), moves: rng.random() };
             let instances: Vec<_> = (0..20).map(instance).collect();
             let mut saved = saved(&instances, LEAST_PLACES);
@@ -182,10 +182,10 @@ mod tests {
     }
 
     #[test]
-    fn a_hundred_and_sixty_nine_dragons_lie_in_one_buffer() {
+    fn a_hundred_and_sixty_nine_dragons_lie_in_two_buffers() {
         let dragons = some(22_000, true, 169);
         assert_eq!(Saved::places_for(&dragons), LEAST_PLACES);
-        assert_eq!(saved(&dragons, LEAST_PLACES).chunks().len(), 1);
+        assert_eq!(saved(&dragons, LEAST_PLACES).chunks().len(), 2);
         assert_eq!(Saved::places_for(&some(22_000, true, 9)), MOST_PLACES);
     }
 
@@ -206,7 +206,7 @@ mod tests {
         let mut saved = saved(&dragons, LEAST_PLACES);
         assert_eq!(saved.chunks().len() as u32, SAVED_CHUNKS);
         let kept = (0..2000).take_while(|instance| saved.keep(*instance, RingPlace(3)).is_some()).count();
-        assert!((700..800).contains(&kept), "{kept}");
+        assert!((560..660).contains(&kept), "{kept}");
         assert_eq!(saved.keep(1999, RingPlace(3)), None);
         assert!(Saved::new(some(22_000, false, 4000), 4).is_none(), "what stands still has no other place");
         assert!(Saved::new(some(CHUNK_VERTICES + 1, false, 1), 4).is_none());
