@@ -9,14 +9,12 @@ layout(std430, binding = 1) readonly buffer Positions { vec4 positions[]; };
 layout(std140, binding = 2) uniform Eyes { EyesGpu eyes; };
 layout(location = 0) out vec2 atlas_texel;
 layout(location = 1) flat out vec4 block; // left, top, right, bottom in texels
-layout(location = 2) flat out vec4 stored; // as store_place says
+layout(location = 2) flat out vec4 stored; // as colour_place says
 
 void main() {
     CornerGpu corner = corners[gl_VertexIndex];
     atlas_texel = corner.atlas_texel;
     block = block_texels(corner.block);
-    stored = store_place(corner.block);
-    if (is_kept(corner.block)) stored.y = eyes.blend.x;
-    else if (stored.x < 0.0) stored.y = 1.0;
+    stored = colour_place(corner.block, eyes.blend.x);
     gl_Position = clip_position(eyes.clip_from_world[gl_ViewIndex], positions[corner.vertex_slot]);
 }

@@ -6,7 +6,7 @@ struct CornerGpu {
     uint vertex_slot;
     uint instance;
     vec2 atlas_texel; // inside the block's lookup rectangle
-    uvec2 block;      // x | y << 16 of its first texel, IS_MASKED or not, in the store STORED_PIXEL_BIT; x | y << BLOCK_END_BITS of the first one beyond it, and above both its page
+    uvec2 block;      // x | y << 16 of its first texel, IS_MASKED or not, IS_KEPT or not, in the store STORED_PIXEL_BIT; x | y << BLOCK_END_BITS of the first one beyond it, and above both its page
 };
 
 struct EyesGpu {
@@ -41,6 +41,13 @@ vec4 store_place(uvec2 block) {
     uvec2 pixel_steps = uvec2(block.x, block.x >> 16) >> STORED_PIXEL_BIT & 15;
     int highest = findLSB(shared_bits.x | shared_bits.y | 1 << (STORE_LEVELS - 1));
     return vec4(layer, highest, exp2(0.25 * vec2(pixel_steps)));
+}
+
+// The same, but of a block in the atlas how much of its colour is the newest picture's in place of its highest mip level.
+vec4 colour_place(uvec2 block, float newest_part) {
+    vec4 place = store_place(block);
+    if (place.x < 0.0) place.y = is_kept(block) ? newest_part : 1.0;
+    return place;
 }
 
 // No triangle is drawn whose vertices have no samples: the draw list leaves its patch out, and the time at which vertices

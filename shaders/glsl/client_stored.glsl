@@ -9,7 +9,7 @@ layout(constant_id = 0) const uint HAS_STORE = 1;
 layout(constant_id = 1) const uint BLENDS = 1;
 layout(location = 0) in vec2 atlas_texel;
 layout(location = 1) flat in vec4 block; // left, top, right, bottom in texels
-layout(location = 2) flat in vec4 stored; // layer in the store, below 0: it lies in the atlas; highest mip level; texels of a pixel then
+layout(location = 2) flat in vec4 stored; // layer in the store, below 0: it lies in the atlas; highest mip level, in the atlas how much is the newest picture's; texels of a pixel then
 layout(location = 0) out vec4 color; // linear; the attachment is sRGB
 
 vec4 displayed(vec3 srgb) {

@@ -67,7 +67,7 @@ pub struct PredictedViews {
 /// When a client shows what.
 #[derive(Clone, Copy, Debug, Default)]
 pub(crate) struct DisplayTiming {
-    /// From a frame to the next.
+    /// From one display frame to the next.
     pub period_ns: i64,
     /// Whether colours go from one picture to the next while that is on display.
     pub blends: bool,
@@ -87,7 +87,7 @@ pub(crate) struct HeadTrack {
     /// What an update takes, as far as is known, nanoseconds: before displays are reported, no update is on display sooner, and none
     /// for less.
     update_ns: i64,
-    /// From one display frame of the client to the next, nanoseconds.
+    /// When its client shows what.
     display: DisplayTiming,
 }
 
