@@ -47,7 +47,8 @@ impl Layout {
         waiting.clone_from(&self.around);
         waiting.retain(|(patch, size)| {
             let at = before.binary_search_by_key(patch, |(patch, _)| *patch);
-            let was = at.ok().map(|at| before[at].1).filter(|block| block.size == *size);
+            let was = at.ok().map(|at| before[at].1);
+            let was = was.filter(|block| block.size == *size && !block.is_stored());
             let state = &mut self.states[patch.index()];
             if state.block.is_none() {
                 state.block = was.filter(|block| self.atlas.take(*block));

@@ -498,3 +498,30 @@ fn a_surround_gives_way_where_what_is_in_view_takes_all_blocks_of_the_smallest_s
     assert_eq!(layout.live_count(), patches * 9 / 10);
     assert!(layout.live().count() == layout.live_count(), "each has a block");
 }
+
+#[test]
+fn what_leaves_the_store_has_a_block_in_the_atlas_whether_in_view_or_around() {
+    const PATCHES: u64 = 100;
+    let mut layout = layout([1024, 512], PATCHES as usize).with_surround(0.4).with_store(1);
+    let mut stale_around = 0;
+    for update in 0..300u64 {
+        // The view turns over a quarter of all patches, to and fro; the rest is around.
+        let first = (update % 100).min(100 - update % 100) * 3 / 2;
+        let is_in_view = |patch: u64| (first..first + PATCHES / 4).contains(&patch);
+        let extents = |in_view: bool| -> Vec<u32> {
+            (0..PATCHES).map(|patch| if is_in_view(patch) == in_view { pack(2, 2) } else { 0 }).collect()
+        };
+        place_both(&mut layout, &extents(true), &extents(false));
+        for (patch, block) in layout.live().chain(layout.around()) {
+            assert!(!block.is_stored(), "update {update}: {patch:?} has {block:?}");
+        }
+        let now = UpdateId(layout.update);
+        layout.store_mut().coded(now, 20);
+        layout.settle((now, usize::MAX), |_| true, |_, _, _| {});
+        layout.store_mut().displayed(UpdateId(now.0.saturating_sub(3)));
+        let stored_around = layout.served.iter().find(|placed| placed.is_around).map(|placed| placed.patch);
+        stored_around.into_iter().for_each(|patch| layout.store_mut().stale(patch));
+        stale_around += u32::from(stored_around.is_some());
+    }
+    assert!(stale_around > 50, "{stale_around}");
+}
