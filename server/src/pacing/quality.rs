@@ -23,7 +23,10 @@ pub const DEFAULT_BITRATE_MBIT_S: f64 = USUAL_MBIT_S;
 pub const MOST_BITRATE_MBIT_S: f64 = 100.0;
 
 /// No picture is coded more finely: what is gained below is not seen.
-const FINEST_QP: u8 = 10;
+const FINEST_QP: u8 = 13;
+/// The next coarser one that is worth its bits. Between both, the step of a mean of chroma is a third to a half of a step of a decoded
+/// texel: it is coded with each picture anew, rounds to nothing, and leaves surfaces off by up to half a step (docs/decisions.md).
+const NEXT_QP: u8 = 17;
 /// Or more coarsely: fewer updates show more.
 const COARSEST_QP: u8 = 34;
 /// Bits of the same picture double from one quantiser to the one this far below.
@@ -31,6 +34,8 @@ const QP_OF_TWICE_THE_BITS: f64 = 6.0;
 /// A picture that takes less than this part of what it may is followed by a finer one: a step takes an eighth more bits, and
 /// pictures differ.
 const ROOM: f64 = 0.75;
+/// The same before the finest, which takes 1.6 times the bits of the next.
+const ROOM_FOR_FINEST: f64 = 0.45;
 /// Of the time from one update to the next an encoder may take this part; one that takes longer is given nothing finer than
 /// [`DEFAULT_QP`].
 const ENCODER_SHARE: f64 = 0.8;
@@ -201,13 +206,20 @@ impl Quality {
         self.is_told = true;
         let used = picture.stream_bytes as f64 / self.picture_bytes(bytes_s);
         self.balance(-(picture.stream_bytes as f64), bytes_s);
-        self.qp = match used {
+        let qp = match used {
             used if used > 1.0 => self.qp.saturating_add((QP_OF_TWICE_THE_BITS * used.log2()).ceil() as u8),
             _ if is_slow && self.qp <= DEFAULT_QP => (self.qp + 1).min(DEFAULT_QP),
+            used if self.qp == NEXT_QP => {
+                if used < ROOM_FOR_FINEST {
+                    FINEST_QP
+                } else {
+                    NEXT_QP
+                }
+            }
             used if used < ROOM => self.qp - 1,
             _ => self.qp,
-        }
-        .clamp(FINEST_QP, COARSEST_QP);
+        };
+        self.qp = if qp <= FINEST_QP { FINEST_QP } else { qp.clamp(NEXT_QP, COARSEST_QP) };
     }
 
     /// What a picture may take, bytes, where all streams together may take so many a second.

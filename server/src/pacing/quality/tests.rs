@@ -60,12 +60,22 @@ fn what_stands_still_gets_as_fine_as_it_gets_and_then_costs_nothing() {
 
 #[test]
 fn what_moves_takes_what_was_asked_for_and_swings_by_no_more_than_a_step() {
-    for bytes in [20_000.0, 40_000.0, 83_000.0, 200_000.0] {
+    for bytes in [50_000.0, 83_000.0, 120_000.0, 200_000.0] {
         let pictures = run(&mut quality(), &mut Scene::new(bytes, 0.0), 90);
         let mbit_s = last_mbit_s(&pictures);
         assert!((18.0..=20.2).contains(&mbit_s), "{bytes}: {mbit_s} Mbit/s");
         let last: Vec<u8> = pictures[60..].iter().map(|(_, qp)| *qp).collect();
         assert!(last.iter().max() <= last.iter().min().map(|qp| qp + 1).as_ref(), "{bytes}: {last:?}");
+    }
+}
+
+#[test]
+fn bits_that_show_nothing_are_left() {
+    for (bytes, qp) in [(20_000.0, FINEST_QP), (30_000.0, NEXT_QP), (40_000.0, NEXT_QP), (47_000.0, NEXT_QP)]
+    {
+        let pictures = run(&mut quality(), &mut Scene::new(bytes, 0.0), 90);
+        assert!(pictures[60..].iter().all(|(_, of)| *of == qp), "{bytes}: {pictures:?}");
+        assert!(last_mbit_s(&pictures) < 20.2, "{bytes}");
     }
 }
 
@@ -81,7 +91,7 @@ fn a_scene_that_begins_to_move_is_coded_coarsely_enough_with_its_second_picture(
 
 #[test]
 fn geometry_and_motion_take_of_the_same_bits() {
-    let (mut quality, mut scene) = (quality(), Scene::new(40_000.0, 0.0));
+    let (mut quality, mut scene) = (quality(), Scene::new(50_000.0, 0.0));
     let mut mbit = Vec::new();
     for update in 0..300 {
         // Nothing in the first second, then 5 to 15 Mbit/s, in turns of a second.
@@ -125,7 +135,7 @@ fn a_slow_link_has_less_and_a_slow_encoder_is_given_nothing_finer() {
 #[test]
 fn pictures_follow_the_link_where_no_number_is_given() {
     let mut quality = Quality::new(QualityOptions::Auto, PERIOD_NS);
-    let mut scene = Scene::new(200_000.0, 0.0);
+    let mut scene = Scene::new(300_000.0, 0.0);
     for (link_mbit_s, taken) in [(None, 18.0..=20.2), (Some(60.0), 54.0..=60.6), (Some(400.0), 90.0..=101.0)]
     {
         quality.note_link(link_mbit_s.map(bytes_s));
@@ -181,7 +191,8 @@ fn a_refresh_begins_as_the_first_picture_did_and_then_gets_finer_by_the_same_ste
     note(&mut quality, SentPicture { is_refresh: true, ..sent(bytes, 0.0) });
     let pictures = run(&mut quality, &mut scene, 30);
     assert_eq!(pictures[0].1, DEFAULT_QP);
-    assert!(pictures.windows(2).all(|pair| pair[1].1 == pair[0].1.saturating_sub(1).max(FINEST_QP)));
+    let finer = |qp: u8| if qp <= NEXT_QP { FINEST_QP } else { qp - 1 };
+    assert!(pictures.windows(2).all(|pair| pair[1].1 == finer(pair[0].1)), "{pictures:?}");
     assert_eq!(pictures[29], (0, FINEST_QP));
     let mut coarse = Quality { qp: COARSEST_QP, ..quality };
     assert_eq!(coarse.refresh_qp(), COARSEST_QP, "no finer than it is");
