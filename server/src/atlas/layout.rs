@@ -25,6 +25,7 @@ use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::BLOCK_MIN_LOG2;
 use shadecast_shaders::generated::SeenGpu;
+use std::collections::VecDeque;
 
 /// Where not all can be shown, a patch seen within this many updates counts as in view: one that flickers in the ID
 /// buffer does not come and go.
@@ -48,6 +49,10 @@ pub struct Layout {
     store: Store,
     /// What is shown from there, ascending.
     served: Vec<Placed>,
+    /// Blocks of the atlas whose patches have been shown from the store since, the oldest first.
+    vacated: VecDeque<Block>,
+    /// Of those, what becomes grey with this update.
+    cleared: Vec<Block>,
     /// Texels for a pixel that views are measured with.
     asked: f32,
     /// The part of what a block is to have that it has at first.
@@ -92,6 +97,8 @@ struct State {
     extent_density: f32,
     /// The texels for a pixel that its block follows, where it is in view.
     follows: Option<f32>,
+    /// For its size its extent counts as so large at least, pixels, where it takes the place of a copy.
+    copied_pixels: [f32; 2],
 }
 
 /// What the predicted views show of what was looked at.
@@ -129,6 +136,8 @@ impl Layout {
             around: Vec::new(),
             store: Store::default(),
             served: Vec::new(),
+            vacated: VecDeque::new(),
+            cleared: Vec::new(),
             asked: 1.0,
             new_part: 1.0,
             most_resized_texels: u64::MAX,
@@ -253,6 +262,7 @@ impl Layout {
         changes.clear();
         changes.extend(self.changes(&before));
         self.note_placed(changes, update);
+        self.clear_vacated(&before);
         self.scratch.before = before;
     }
 
@@ -291,7 +301,8 @@ impl Layout {
             while live.next_if(|live| *live < patch).is_some() {}
             let is_live = live.next_if(|live| *live == patch).is_some();
             if !is_live {
-                self.states[patch.index()].follows = None;
+                let state = &mut self.states[patch.index()];
+                (state.follows, state.copied_pixels) = (None, [0.0; 2]);
             }
             if block.is_stored() {
                 continue;
@@ -305,8 +316,9 @@ impl Layout {
     }
 
     fn shape(&self, patch: ScenePatch) -> Shape {
-        let State { block, extent, extent_density, follows, .. } = self.states[patch.index()];
-        Shape { extent, extent_density, block: block.map(|block| block.size).zip(follows) }
+        let state = &self.states[patch.index()];
+        let block = state.block.map(|block| block.size).zip(state.follows);
+        Shape { extent: state.sized_extent(), extent_density: state.extent_density, block }
     }
 
     /// What becomes of each block in view, in patch order.
@@ -500,7 +512,12 @@ impl Layout {
 
     /// Of the texels for a pixel that are asked for, the part that blocks are sized for; below 1 under pressure.
     pub(crate) fn density(&self) -> f32 {
-        self.pressure.step().0
+        self.pressure.step().0.min(self.most_growth())
+    }
+
+    /// So many times the texels for a pixel that are asked for, and the store holds what was in view lately.
+    pub(crate) fn most_growth(&self) -> f32 {
+        self.store.most_density() / self.asked
     }
 
     /// How often the atlas was full and everything became coarser.

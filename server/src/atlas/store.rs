@@ -5,6 +5,7 @@
 //! until their place is needed: those go first that were not shown for longest. A place is given to another copy once the client shows no
 //! update any more that names it.
 
+use crate::atlas::sizing::wanted_size;
 use crate::scene::numbering::ScenePatch;
 use shadecast_protocol::atlas::allocator::Atlas;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockAddress, BlockSize};
@@ -20,18 +21,35 @@ const MOST_DOUBLED: u8 = 6;
 const REMEMBERED_UPDATES: usize = 64;
 /// A copy is made anew where pictures are finer than when it was made, by so many steps of the quantiser: its error is two thirds.
 const FINER_STEPS: u8 = 4;
+/// The same where pictures are not yet fine enough for it to stay: it would be made anew twice.
+const MUCH_FINER_STEPS: u8 = 10;
 /// A copy made with this quantiser or a finer one stays.
 const FINE_QP: u8 = 20;
 /// Part of the texels of the atlas that settle with an update at most: the client copies them in one display frame.
 const MOST_SETTLED_PART: u64 = 20;
 /// The same for copies that are given up in view with an update, for a finer one.
-const MOST_RENEWED_PART: u64 = 16;
+const MOST_RENEWED_PART: u64 = 32;
 /// Steps of width and height together by which a block would be larger than its copy for another to take its place: of pictures coded with
 /// [`FINE_QP`] or finer, and of others, where a new block costs more than it shows.
 const OUTGROWN_STEPS: u8 = 1;
 const OUTGROWN_STEPS_COARSE: u8 = 2;
-/// Where there is no place, room is made for so many copies at once.
-const EVICTED_TOGETHER: usize = 256;
+/// Where there is no place, so many texels are given up at once: a quarter of a page.
+const EVICTED_TEXELS: u64 = STORE_PAGE_SIDE as u64 * STORE_PAGE_SIDE as u64 / 4;
+/// Beyond this part of its texels the store is crowded: a copy is outgrown late then.
+const CROWDED_PART: f64 = 0.95;
+/// What was shown within so many updates may come back soon: a head that looks around takes ten seconds.
+const RECENT_UPDATES: u32 = 300;
+/// Texels for a pixel that blocks may have at most for the store's sake; the first: as many as they ask for.
+const DENSITIES: [f32; 7] =
+    [2.0, std::f32::consts::SQRT_2, 1.0, 0.92, 0.84, 0.77, std::f32::consts::FRAC_1_SQRT_2];
+/// The coarsest one that is taken before the store is full, where what comes would take this part of it, if it went on so.
+const USUAL_DENSITY: usize = 2;
+const MOST_COMING_PART: f64 = 1.5;
+/// The part of the store that recent copies may take, and the same for a density to rise.
+const MOST_RECENT_PART: f64 = 0.9;
+const ROOMY_PART: f64 = 0.75;
+/// The density follows what is recent once in so many updates.
+const MEASURED_EACH: u32 = 8;
 
 /// See the module.
 #[derive(Clone, Debug, Default)]
@@ -51,6 +69,13 @@ pub(crate) struct Store {
     /// Where the next update begins to look for what may settle.
     next: ScenePatch,
     atlas_texels: u64,
+    /// Of [`DENSITIES`], the one for which there is room.
+    density_step: usize,
+    /// Texels that settled of patches without a copy before, since that was measured, and the part of the store that do with an update.
+    come_texels: u64,
+    comes_part: f64,
+    /// By patch: whether there was a copy of it.
+    was_copied: Vec<bool>,
 }
 
 /// A block in the store.
@@ -63,6 +88,35 @@ struct Copy {
     shown: UpdateId,
     /// The finest quantiser that it was coded with.
     qp: u8,
+    /// The largest extent that was seen of its patch, pixels.
+    pixels: [f32; 2],
+}
+
+/// What a patch is shown from.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) enum Served {
+    /// Its copy in the store.
+    Copy(Block),
+    /// A block in the atlas, for an extent of so many pixels at least where it takes the place of a copy: other views will need them again.
+    Atlas(Option<[f32; 2]>),
+}
+
+/// A block in view that may settle.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Settling {
+    /// Whose.
+    pub patch: ScenePatch,
+    /// Where it lies in the atlas.
+    pub block: Block,
+    /// The largest extent that was seen of it, pixels.
+    pub pixels: [f32; 2],
+}
+
+impl Copy {
+    /// The size that its largest extent asks for where blocks have so many texels for a pixel.
+    fn size_at(&self, density: f32) -> BlockSize {
+        wanted_size(self.pixels.map(|side| side * density), Some(self.block.size))
+    }
 }
 
 impl Store {
@@ -74,41 +128,83 @@ impl Store {
             pages: vec![Atlas::new(page); pages as usize],
             shaded: vec![0; if pages > 0 { patches } else { 0 }],
             stale: vec![0; if pages > 0 { patches } else { 0 }],
+            was_copied: vec![false; if pages > 0 { patches } else { 0 }],
             atlas_texels: u64::from(atlas.width()) * u64::from(atlas.height()),
             ..Self::default()
         }
     }
 
     /// An update begins to be placed.
-    pub(crate) fn begin(&mut self) {
+    pub(crate) fn begin(&mut self, update: UpdateId) {
         self.renewable_texels = self.atlas_texels / MOST_RENEWED_PART;
+        if update.0.is_multiple_of(MEASURED_EACH) {
+            self.follow(update);
+        }
     }
 
-    /// The copy that a patch in view is shown from with this update, where there is one. `wanted` says what its block would be, given the
-    /// size of the copy. One that is too coarse, or coded coarsely for today, is given up, a few with each update.
+    /// Part of the store that what was shown lately takes where blocks have so many texels for a pixel.
+    fn recent_part(&self, update: UpdateId, density: f32) -> f64 {
+        let recent = self.copies.values().filter(|copy| copy.shown.0 + RECENT_UPDATES >= update.0);
+        let texels: u64 = recent.map(|copy| u64::from(copy.size_at(density).texels())).sum();
+        texels as f64 / self.all_texels().max(1) as f64
+    }
+
+    /// Takes the highest density with room for what was shown lately, and for what comes if that goes on: all of a first view is new.
+    fn follow(&mut self, update: UpdateId) {
+        let now = DENSITIES[self.density_step];
+        let part = self.recent_part(update, now);
+        let (come, updates) = (std::mem::take(&mut self.come_texels), f64::from(MEASURED_EACH));
+        self.comes_part = 0.5 * (self.comes_part + come as f64 / updates / self.all_texels().max(1) as f64);
+        let soon = f64::from(RECENT_UPDATES) * self.comes_part;
+        if self.density_step < USUAL_DENSITY && part + soon > MOST_COMING_PART {
+            self.density_step = USUAL_DENSITY;
+        } else if part > MOST_RECENT_PART && self.density_step + 1 < DENSITIES.len() {
+            self.density_step += 1;
+        } else if let Some(step) = self.density_step.checked_sub(1) {
+            let growth = f64::from(DENSITIES[step] / now).powi(2);
+            if self.recent_part(update, DENSITIES[step]) + growth * soon <= ROOMY_PART {
+                self.density_step = step;
+            }
+        }
+    }
+
+    /// Texels for a pixel that blocks may have at most for the store to hold what was shown lately.
+    pub(crate) fn most_density(&self) -> f32 {
+        if self.density_step == 0 { f32::INFINITY } else { DENSITIES[self.density_step] }
+    }
+
+    fn all_texels(&self) -> u64 {
+        self.pages.len() as u64 * u64::from(STORE_PAGE_SIDE) * u64::from(STORE_PAGE_SIDE)
+    }
+
+    /// What a patch in view is shown from with this update, where its extent is so many pixels and blocks have `density` texels for one. A
+    /// copy that is too coarse, or coded coarsely for today, is given up, a few with each update.
     pub(crate) fn serve(
         &mut self,
         patch: ScenePatch,
-        update: UpdateId,
-        wanted: impl Fn(BlockSize) -> BlockSize,
-    ) -> Option<Block> {
+        (update, density): (UpdateId, f32),
+        pixels: [f32; 2],
+    ) -> Served {
         let newest_qp = self.qps.front().map(|(_, qp)| *qp);
-        let copy = self.copies.get(&patch)?;
-        let (size, wanted) = (copy.block.size, wanted(copy.block.size));
-        let [wider, higher] = [
-            wanted.width_log2.saturating_sub(size.width_log2),
-            wanted.height_log2.saturating_sub(size.height_log2),
-        ];
+        let is_crowded = self.texels() as f64 > CROWDED_PART * self.all_texels() as f64;
+        let Some(copy) = self.copies.get_mut(&patch) else { return Served::Atlas(None) };
+        copy.pixels = [0, 1].map(|axis| copy.pixels[axis].max(pixels[axis]));
+        let now = copy.block.size;
+        let wanted = wanted_size(pixels.map(|side| side * density), Some(now));
+        let wider = wanted.width_log2.saturating_sub(now.width_log2);
+        let higher = wanted.height_log2.saturating_sub(now.height_log2);
         let is_fine = newest_qp.is_none_or(|qp| qp <= FINE_QP);
-        let outgrown = wider + higher >= if is_fine { OUTGROWN_STEPS } else { OUTGROWN_STEPS_COARSE };
-        let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + FINER_STEPS);
-        let texels = u64::from(wanted.texels());
-        if copy.settled < update && (outgrown || is_coarse) && texels <= self.renewable_texels {
+        let most = if is_fine && !is_crowded { OUTGROWN_STEPS } else { OUTGROWN_STEPS_COARSE };
+        let finer_steps = if is_fine { FINER_STEPS } else { MUCH_FINER_STEPS };
+        let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + finer_steps);
+        let (pixels, texels) = (copy.pixels, u64::from(copy.size_at(density).texels()));
+        let is_due = copy.settled < update && (wider + higher >= most || is_coarse);
+        if is_due && texels <= self.renewable_texels {
             self.renewable_texels -= texels;
             self.give_up(patch);
-            return None;
+            return Served::Atlas(Some(pixels));
         }
-        self.show(patch, update)
+        self.show(patch, update).map_or(Served::Atlas(None), Served::Copy)
     }
 
     /// The same of one that is not in view, as it is.
@@ -187,11 +283,11 @@ impl Store {
     }
 
     /// The blocks in view that settle with an update: given with their blocks in the atlas, ascending. Each update goes on where the one
-    /// before had no room. They are `most_blocks` at most. `put` takes each with its place.
+    /// before had no room. They are `most_blocks` at most, where blocks have so many texels for a pixel. `put` takes each with its place.
     pub(crate) fn settle(
         &mut self,
-        (update, most_blocks): (UpdateId, usize),
-        live: impl Iterator<Item = (ScenePatch, Block)> + Clone,
+        (update, most_blocks, density): (UpdateId, usize, f32),
+        live: impl Iterator<Item = Settling> + Clone,
         mut put: impl FnMut(ScenePatch, Block),
     ) {
         if self.pages.is_empty() {
@@ -199,8 +295,9 @@ impl Store {
         }
         let (mut left_texels, mut left_blocks) = (self.atlas_texels / MOST_SETTLED_PART, most_blocks);
         let first = std::mem::take(&mut self.next);
-        let from_first = live.clone().filter(|(patch, _)| *patch >= first);
-        for (patch, block) in from_first.chain(live.filter(|(patch, _)| *patch < first)) {
+        let from_first = live.clone().filter(|settling| settling.patch >= first);
+        let before_first = live.filter(|settling| settling.patch < first);
+        for Settling { patch, block, pixels } in from_first.chain(before_first) {
             let texels = u64::from(block.size.texels());
             let shaded = self.shaded[patch.index()];
             let after = SETTLES_AFTER_UPDATES << self.stale[patch.index()];
@@ -212,9 +309,12 @@ impl Store {
                 continue;
             }
             let Some(qp) = self.finest_qp_since(UpdateId(shaded - 1)) else { continue };
-            let Some(to) = self.take(block.size, update) else { break };
+            let Some(to) = self.take(block.size, update, density) else { break };
             (left_texels, left_blocks) = (left_texels - texels, left_blocks - 1);
-            self.copies.insert(patch, Copy { block: to, settled: update, shown: update, qp });
+            self.copies.insert(patch, Copy { block: to, settled: update, shown: update, qp, pixels });
+            if !std::mem::replace(&mut self.was_copied[patch.index()], true) {
+                self.come_texels += texels;
+            }
             put(patch, to);
         }
     }
@@ -224,29 +324,37 @@ impl Store {
         self.qps.iter().take_while(|(of, _)| *of >= update).map(|(_, qp)| *qp).min()
     }
 
-    /// A place for a copy; where there is none, copies that were not shown for longest are given up for those that come later.
-    fn take(&mut self, size: BlockSize, update: UpdateId) -> Option<Block> {
+    /// A place for a copy; where there is none, others are given up for those that come later.
+    fn take(&mut self, size: BlockSize, update: UpdateId, density: f32) -> Option<Block> {
         let in_pages = self.pages.iter_mut().zip(1..);
         let place = in_pages.filter_map(|(page, number)| Some((page.allocate(size)?, number))).next();
         if let Some((block, page)) = place {
             return Some(Block { address: BlockAddress { page, ..block.address }, ..block });
         }
-        if self.leaving.is_empty() {
-            self.evict(update);
-        }
+        self.evict(update, density);
         None
     }
 
-    /// Gives up the copies that were not shown for longest.
-    fn evict(&mut self, update: UpdateId) {
-        let mut oldest: Vec<(UpdateId, ScenePatch)> = self
-            .copies
-            .iter()
-            .filter(|(_, copy)| copy.shown < update && copy.settled < update)
-            .map(|(patch, copy)| (copy.shown, *patch))
-            .collect();
-        oldest.sort_unstable();
-        oldest.into_iter().take(EVICTED_TOGETHER).for_each(|(_, patch)| self.give_up(patch));
+    /// Gives up copies until enough texels leave: first those with more texels than are asked for now, then those that were not shown for longest.
+    fn evict(&mut self, update: UpdateId, density: f32) {
+        let mut leaving: u64 = self.leaving.iter().map(|(_, block)| u64::from(block.size.texels())).sum();
+        if leaving >= EVICTED_TEXELS {
+            return;
+        }
+        let hidden = self.copies.iter().filter(|(_, copy)| copy.shown < update && copy.settled < update);
+        let ranked = hidden.map(|(patch, copy)| {
+            let texels = copy.block.size.texels();
+            (copy.size_at(density).texels() >= texels, copy.shown, *patch, texels)
+        });
+        let mut ranked: Vec<_> = ranked.collect();
+        ranked.sort_unstable();
+        for (_, _, patch, texels) in ranked {
+            if leaving >= EVICTED_TEXELS {
+                break;
+            }
+            leaving += u64::from(texels);
+            self.give_up(patch);
+        }
     }
 }
 

@@ -39,6 +39,17 @@ pub enum Spare {
     Short,
 }
 
+/// How far blocks fill what they lie in.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Filled {
+    /// Part of the atlas that blocks come to.
+    pub share: f32,
+    /// Blocks have fewer texels than were asked for.
+    pub is_full: bool,
+    /// For so many times the texels along a pixel the store has room.
+    pub most_growth: f32,
+}
+
 /// One viewer's.
 #[derive(Clone, Debug)]
 pub(crate) struct Density {
@@ -66,15 +77,16 @@ impl Density {
         STEPS[self.step].error
     }
 
-    /// An update was placed: blocks come to this part of the atlas, with fewer texels than were asked for if it is full.
-    pub(crate) fn note(&mut self, spare: Spare, used_share: f32, is_full: bool) {
+    /// An update was placed.
+    pub(crate) fn note(&mut self, spare: Spare, Filled { share, is_full, most_growth }: Filled) {
         let now = &STEPS[self.step];
         let has_room = match STEPS.get(self.step + 1) {
             None => false,
             Some(next) if next.texels_per_pixel == now.texels_per_pixel => spare != Spare::Short,
             Some(next) => {
-                let growth = (next.texels_per_pixel / now.texels_per_pixel).powi(2);
-                spare == Spare::Room && !is_full && growth * used_share <= MOST_SHARE
+                let growth = next.texels_per_pixel / now.texels_per_pixel;
+                let fits = growth.powi(2) * share <= MOST_SHARE && growth <= most_growth;
+                spare == Spare::Room && !is_full && fits
             }
         };
         let is_short = spare == Spare::Short || is_full && now.texels_per_pixel > 1.0;
@@ -97,8 +109,9 @@ mod tests {
     use super::*;
 
     /// The step after so many updates that are all the same.
-    fn after(density: &mut Density, updates: u32, spare: Spare, used_share: f32, is_full: bool) -> usize {
-        (0..updates).for_each(|_| density.note(spare, used_share, is_full));
+    fn after(density: &mut Density, updates: u32, spare: Spare, share: f32, is_full: bool) -> usize {
+        let filled = Filled { share, is_full, most_growth: 10.0 };
+        (0..updates).for_each(|_| density.note(spare, filled));
         density.step
     }
 
@@ -140,7 +153,8 @@ mod tests {
             let (mut density, mut changes) = (Density::default(), 0);
             for _ in 0..30 * 600 {
                 let before = density.step;
-                density.note(if before > most { Spare::Short } else { Spare::Room }, 0.1, false);
+                let filled = Filled { share: 0.1, is_full: false, most_growth: 10.0 };
+                density.note(if before > most { Spare::Short } else { Spare::Room }, filled);
                 changes += u32::from(density.step != before);
             }
             assert!((10..40).contains(&changes), "{changes} changes in ten minutes");

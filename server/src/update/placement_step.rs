@@ -10,7 +10,7 @@ use crate::motion::delta::{UpdateDelta, UpdateStamp};
 use crate::motion::predictions::predictions;
 use crate::motion::skinning::Skinning;
 use crate::motion::steps::wanted_steps_m;
-use crate::pacing::density::{Density, Spare};
+use crate::pacing::density::{Density, Filled, Spare};
 use crate::pacing::relief::{Measure, Measures};
 use crate::pacing::room::Room;
 use crate::residency::{Allowance, Residency};
@@ -211,7 +211,12 @@ impl PlacementStep {
     ) -> UpdateDelta {
         let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
         self.layout.place(world.samples(), lods, (self.room, start.update), &mut changes); // 4, 5
-        self.density.note(self.spare, self.layout.settled_share(), self.layout.density() < 1.0);
+        let filled = Filled {
+            share: self.layout.settled_share(),
+            is_full: self.layout.density() < 1.0,
+            most_growth: self.layout.most_growth(),
+        };
+        self.density.note(self.spare, filled);
         let began = world.effort().begin();
         let mut delta = self.delta(world, start.update, &start.views, &changes); // 8
         self.settle(world, start.update, &mut delta);

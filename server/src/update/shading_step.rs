@@ -151,11 +151,13 @@ impl ShadingStep {
         let due = self.reuse.due(moment, views.world_from_head, placed, &surfaces, self.allowed_texels());
         let blocks = due.iter().map(|due| (due.patch, due.block));
         self.shading.write_blocks(world.scene(), world.animation(), place, blocks);
-        self.ycbcr.note_changed(due.iter().map(|due| due.block));
+        let cleared = layout.cleared();
+        self.ycbcr.note_changed(due.iter().map(|due| due.block).chain(cleared.iter().copied()));
         self.ycbcr.write_cells(layout.cell_extents());
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
         let pixels_per_tangent = self.eye.pixels_per_tangent();
-        recorder.scope("shading", |r| self.shading.record(r, views.world_from_head, pixels_per_tangent));
+        recorder
+            .scope("shading", |r| self.shading.record(r, views.world_from_head, pixels_per_tangent, cleared));
         recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
         recorder.scope("ycbcr", |r| self.ycbcr.record(r));
         Ok(recorder)

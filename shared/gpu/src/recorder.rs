@@ -424,6 +424,29 @@ impl Recorder {
         }
     }
 
+    /// Fills rectangles of the first colour attachment of the pass, left, top, right and bottom in texels.
+    pub fn clear_rects(&mut self, color: [f32; 4], rects: impl Iterator<Item = [u32; 4]>) {
+        let rect = |[left, top, right, bottom]: [u32; 4]| vk::ClearRect {
+            rect: vk::Rect2D {
+                offset: vk::Offset2D { x: left as i32, y: top as i32 },
+                extent: vk::Extent2D { width: right - left, height: bottom - top },
+            },
+            base_array_layer: 0,
+            layer_count: 1,
+        };
+        let rects: Vec<vk::ClearRect> = rects.map(rect).collect();
+        if rects.is_empty() {
+            return;
+        }
+        let fill = vk::ClearAttachment {
+            aspect_mask: vk::ImageAspectFlags::COLOR,
+            color_attachment: 0,
+            clear_value: vk::ClearValue { color: vk::ClearColorValue { float32: color } },
+        };
+        // SAFETY: the command buffer records a pass with a colour attachment, in which the rectangles lie.
+        unsafe { self.gpu.device().cmd_clear_attachments(self.commands(), &[fill], &rects) };
+    }
+
     /// Ends the pass.
     pub fn end_pass(&mut self) {
         // SAFETY: a pass is open.

@@ -1,6 +1,7 @@
 //! Blocks that no longer change, in the client's store: pictures are as they were without.
 
 use shadecast_lab::experiments::run::run;
+use shadecast_lab::image::Rgb8Image;
 use shadecast_lab::report::stats::Stats;
 use shadecast_lab::scenes::room::write_room;
 use shadecast_lab::session::options::{Head, Renderer, RunOptions};
@@ -26,6 +27,18 @@ fn room(folder: &Path, store_pages: u32) -> Stats {
     stats
 }
 
+/// Part of the atlas of a run that is grey at its end.
+fn grey_part(folder: &Path, store_pages: u32) -> f64 {
+    let atlas = folder.join(store_pages.to_string()).join("atlas.png");
+    let atlas = Rgb8Image::read_png(&atlas).expect("an atlas");
+    let is_grey = |at: u32| {
+        let texel = atlas.pixel(at % atlas.width, at / atlas.width);
+        texel.iter().all(|value| value.abs_diff(128) < 2)
+    };
+    let all = atlas.pixel_count() as u32;
+    (0..all).filter(|at| is_grey(*at)).count() as f64 / f64::from(all)
+}
+
 #[test]
 fn still_blocks_settle_and_look_as_they_did() {
     let folder = tempfile::tempdir().expect("a folder");
@@ -37,4 +50,7 @@ fn still_blocks_settle_and_look_as_they_did() {
     let decibels = |stats: &Stats| stats.psnr_db.expect("compared");
     assert!(decibels(&with) > decibels(&without) - 1.0, "{} and {}", decibels(&with), decibels(&without));
     assert!(with.hole_fraction <= without.hole_fraction, "{with}");
+    // What is left in the atlas is grey: neither a refresh nor any other picture takes bits for it.
+    let grey = [0, 2].map(|pages| grey_part(folder.path(), pages));
+    assert!(grey[1] > grey[0] + 0.2 && grey[1] > 0.9, "{grey:?}");
 }

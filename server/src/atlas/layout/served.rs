@@ -2,14 +2,27 @@
 
 use super::{Layout, State};
 use crate::atlas::placement::{Placed, PlacementChange};
-use crate::atlas::sizing::{Shape, wanted_size};
-use crate::atlas::store::Store;
+use crate::atlas::store::{Served, Settling, Store};
 use crate::scene::numbering::ScenePatch;
 use crate::support::merged::merged;
 use shadecast_protocol::atlas::{Block, PixelTexels};
 use shadecast_protocol::ids::UpdateId;
 
+/// Of the texels of the atlas, this part becomes grey with an update at most: grey takes bits once.
+const CLEARED_PART: u32 = 32;
+
 impl State {
+    /// The extent that was seen last, pixels.
+    fn pixels(&self) -> [f32; 2] {
+        self.extent.map(|side| f32::from(side) / self.extent_density)
+    }
+
+    /// The extent that its size is for, in texels of the same density as [`Self::extent`].
+    pub(super) fn sized_extent(&self) -> [u16; 2] {
+        [0, 1]
+            .map(|axis| self.extent[axis].max((self.copied_pixels[axis] * self.extent_density).ceil() as u16))
+    }
+
     /// How many texels of a block a pixel of the display covers. Textures are never filtered for less than a texel.
     fn pixel(&self, block: Block) -> PixelTexels {
         let [left, top, right, bottom] = block.lookup_rect_texels();
@@ -21,18 +34,21 @@ impl State {
 impl Layout {
     /// Takes out of what needs a block in the atlas what the store has.
     pub(super) fn serve(&mut self, update: UpdateId) {
-        self.store.begin();
+        self.store.begin(update);
         let density = self.asked * self.density();
         let Self { live, around, store, served, states, .. } = self;
         served.clear();
         live.retain(|patch| {
-            let state = states[patch.index()];
-            let shape = Shape { extent: state.extent, extent_density: state.extent_density, block: None };
-            let extent = shape.extent_at(density);
-            let served_from = store.serve(*patch, update, |size| wanted_size(extent, Some(size)));
-            let placed = |block| Placed { patch: *patch, block, is_around: false, is_hidden: false };
-            served.extend(served_from.map(placed));
-            served_from.is_none()
+            let state = &mut states[patch.index()];
+            let served_from = store.serve(*patch, (update, density), state.pixels());
+            match served_from {
+                Served::Copy(block) => {
+                    served.push(Placed { patch: *patch, block, is_around: false, is_hidden: false });
+                }
+                Served::Atlas(Some(pixels)) => state.copied_pixels = pixels,
+                Served::Atlas(None) => {}
+            }
+            matches!(served_from, Served::Atlas(_))
         });
         around.retain(|(patch, _)| {
             let served_from = store.show(*patch, update);
@@ -49,6 +65,33 @@ impl Layout {
         changes.iter().filter(in_atlas).for_each(|change| self.store.shaded(change.patch, update));
     }
 
+    /// Chooses what becomes grey of the blocks that were left for the store, where nothing else has taken their place: their texels would be
+    /// coded for nothing, with a refresh all of them.
+    pub(super) fn clear_vacated(&mut self, before: &[(ScenePatch, Block)]) {
+        let Self { served, vacated, cleared, atlas, .. } = self;
+        let mut before = before.iter().peekable();
+        for placed in served {
+            while before.next_if(|(patch, _)| *patch < placed.patch).is_some() {}
+            let was = before.next_if(|(patch, _)| *patch == placed.patch).map(|(_, block)| *block);
+            vacated.extend(was.filter(|block| !block.is_stored()));
+        }
+        cleared.clear();
+        let [width, height] = atlas.extent_texels();
+        let mut left_texels = (width * height) / CLEARED_PART;
+        while let Some(block) = vacated.pop_front_if(|block| block.size.texels() <= left_texels) {
+            if atlas.take(block) {
+                atlas.free(block);
+                left_texels -= block.size.texels();
+                cleared.push(block);
+            }
+        }
+    }
+
+    /// The blocks that become grey with this update.
+    pub(crate) fn cleared(&self) -> &[Block] {
+        &self.cleared
+    }
+
     /// The blocks that settle with an update, of those in view that may: each patch with its place in the store, and what it is filtered for.
     /// They are `most_blocks` at most.
     pub(crate) fn settle(
@@ -57,11 +100,17 @@ impl Layout {
         may: impl Fn(ScenePatch) -> bool,
         mut put: impl FnMut(ScenePatch, Block, PixelTexels),
     ) {
+        let density = self.asked * self.density();
         let Self { live, states, store, .. } = self;
         let with_pixel =
             |patch: ScenePatch, block: Block| put(patch, block, states[patch.index()].pixel(block));
-        let in_atlas = live.iter().filter_map(|patch| Some((*patch, states[patch.index()].block?)));
-        store.settle((update, most_blocks), in_atlas.filter(|(patch, _)| may(*patch)), with_pixel);
+        let in_atlas = live.iter().filter_map(|patch| {
+            let state = &states[patch.index()];
+            let pixels = [0, 1].map(|axis| state.pixels()[axis].max(state.copied_pixels[axis]));
+            Some(Settling { patch: *patch, block: state.block?, pixels })
+        });
+        let settling = in_atlas.filter(|settling| may(settling.patch));
+        store.settle((update, most_blocks, density), settling, with_pixel);
     }
 
     /// All that has a block in the atlas or in the store, shown or not, ascending.

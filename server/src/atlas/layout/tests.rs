@@ -503,7 +503,7 @@ fn a_surround_gives_way_where_what_is_in_view_takes_all_blocks_of_the_smallest_s
 fn what_leaves_the_store_has_a_block_in_the_atlas_whether_in_view_or_around() {
     const PATCHES: u64 = 100;
     let mut layout = layout([1024, 512], PATCHES as usize).with_surround(0.4).with_store(1);
-    let mut stale_around = 0;
+    let (mut stale_around, mut cleared) = (0, 0);
     for update in 0..300u64 {
         // The view turns over a quarter of all patches, to and fro; the rest is around.
         let first = (update % 100).min(100 - update % 100) * 3 / 2;
@@ -514,7 +514,10 @@ fn what_leaves_the_store_has_a_block_in_the_atlas_whether_in_view_or_around() {
         place_both(&mut layout, &extents(true), &extents(false));
         for (patch, block) in layout.live().chain(layout.around()) {
             assert!(!block.is_stored(), "update {update}: {patch:?} has {block:?}");
+            let is_grey = layout.cleared().iter().any(|cleared| cleared.overlaps(block));
+            assert!(!is_grey, "update {update}: {block:?} of {patch:?} becomes grey");
         }
+        cleared += layout.cleared().len();
         let now = UpdateId(layout.update);
         layout.store_mut().coded(now, 20);
         layout.settle((now, usize::MAX), |_| true, |_, _, _| {});
@@ -523,5 +526,5 @@ fn what_leaves_the_store_has_a_block_in_the_atlas_whether_in_view_or_around() {
         stored_around.into_iter().for_each(|patch| layout.store_mut().stale(patch));
         stale_around += u32::from(stored_around.is_some());
     }
-    assert!(stale_around > 50, "{stale_around}");
+    assert!(stale_around > 50 && cleared > 100, "{stale_around}, {cleared}");
 }

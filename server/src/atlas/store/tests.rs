@@ -24,8 +24,12 @@ fn few_settled(
     log2: u8,
 ) -> Vec<(u32, Block)> {
     let mut settled = Vec::new();
-    let live = patches.map(|patch| (ScenePatch(patch), block(patch, log2)));
-    store.settle((UpdateId(update), most_blocks), live, |patch, to| settled.push((patch.0, to)));
+    let live = patches.map(|patch| Settling {
+        patch: ScenePatch(patch),
+        block: block(patch, log2),
+        pixels: pixels([log2; 2]),
+    });
+    store.settle((UpdateId(update), most_blocks, 1.0), live, |patch, to| settled.push((patch.0, to)));
     settled
 }
 
@@ -34,15 +38,28 @@ fn shade(store: &mut Store, patches: std::ops::Range<u32>, update: u32) {
     (update..update + SETTLES_AFTER_UPDATES).for_each(|update| store.coded(UpdateId(update), 18));
 }
 
+/// An extent for which a block has these sides, at a texel for a pixel.
+fn pixels(log2: [u8; 2]) -> [f32; 2] {
+    log2.map(|log2| f32::from(1u16 << log2) - 3.0)
+}
+
+/// Where an extent of no pixels is shown from.
 fn serves(store: &mut Store, patch: u32, update: u32) -> Option<Block> {
-    store.serve(ScenePatch(patch), UpdateId(update), |size| size)
+    serves_to(store, patch, update, [0.0; 2])
+}
+
+fn serves_to(store: &mut Store, patch: u32, update: u32, pixels: [f32; 2]) -> Option<Block> {
+    match store.serve(ScenePatch(patch), (UpdateId(update), 1.0), pixels) {
+        Served::Copy(block) => Some(block),
+        Served::Atlas(_) => None,
+    }
 }
 
 #[test]
 fn a_block_settles_when_it_has_not_changed_and_is_shown_from_the_next_update_on() {
     let mut store = store(1);
     shade(&mut store, 0..3, 10);
-    store.begin();
+    store.begin(UpdateId(1));
     assert!(settled(&mut store, 10 + SETTLES_AFTER_UPDATES - 1, 0..3, 4).is_empty());
     let now = 10 + SETTLES_AFTER_UPDATES;
     let copies = settled(&mut store, now, 0..3, 4);
@@ -69,7 +86,7 @@ fn a_place_is_given_to_another_copy_once_no_update_on_display_names_it() {
     let mut store = store(1);
     shade(&mut store, 0..2, 0);
     let copies = settled(&mut store, 20, 0..1, 9);
-    store.begin();
+    store.begin(UpdateId(1));
     assert!(serves(&mut store, 0, 21).is_some());
     store.give_up(ScenePatch(0));
     assert_eq!(serves(&mut store, 0, 22), None);
@@ -91,7 +108,7 @@ fn a_full_store_gives_up_what_was_not_shown_for_longest() {
         assert_eq!(settled(&mut store, update, patch..patch + 1, 9).len(), 1);
         update += 1;
     }
-    store.begin();
+    store.begin(UpdateId(1));
     for patch in 8..16 {
         assert!(serves(&mut store, patch, update).is_some());
     }
@@ -120,16 +137,57 @@ fn a_copy_too_coarse_or_coded_coarsely_is_made_anew_a_few_with_each_update() {
     (0..20).for_each(|update| store.coded(UpdateId(6 + update), 30));
     let count = (0..40).map(|update| settled(&mut store, 30 + update, 0..200, 6).len()).sum::<usize>();
     assert_eq!(count, 200);
-    store.begin();
-    let wider = |size: BlockSize| BlockSize { width_log2: size.width_log2 + 1, ..size };
-    assert!(store.serve(ScenePatch(199), UpdateId(99), wider).is_some(), "a step of one side will do");
-    let larger = |size: BlockSize| BlockSize { height_log2: size.height_log2 + 1, ..wider(size) };
-    let given_up =
-        (0..200).filter(|patch| store.serve(ScenePatch(*patch), UpdateId(100), larger).is_none()).count();
+    store.begin(UpdateId(1));
+    let [wider, larger, smaller] = [[7, 6], [7, 7], [4, 4]].map(pixels);
+    assert!(serves_to(&mut store, 199, 99, smaller).is_some(), "a finer one will do");
+    assert!(serves_to(&mut store, 199, 99, wider).is_some(), "a step of one side will do");
+    let given_up = (0..200).filter(|patch| serves_to(&mut store, *patch, 100, larger).is_none()).count();
     let most = 4096 * 2048 / MOST_RENEWED_PART / 128u64.pow(2);
     assert_eq!(given_up as u64, most);
-    let smaller = |size: BlockSize| BlockSize { width_log2: size.width_log2 - 1, ..size };
-    assert!(store.serve(ScenePatch(199), UpdateId(101), smaller).is_some(), "a finer one will do");
+}
+
+#[test]
+fn a_copy_made_anew_is_for_all_views_that_were_seen() {
+    let mut store = store(1);
+    shade(&mut store, 0..1, 0);
+    settled(&mut store, 20, 0..1, 5);
+    store.begin(UpdateId(21));
+    assert!(serves_to(&mut store, 0, 21, pixels([3, 5])).is_some());
+    let seen = store.serve(ScenePatch(0), (UpdateId(22), 1.0), pixels([3, 6]));
+    let [across, down] = [pixels([5; 2])[0], pixels([6; 2])[1]];
+    assert_eq!(seen, Served::Atlas(Some([across, down])), "other views need its width");
+}
+
+#[test]
+fn blocks_have_as_many_texels_as_the_store_can_hold_of_what_was_shown_lately() {
+    let mut store = store(1);
+    let follow = |store: &mut Store, update: u32| {
+        (0..20).for_each(|_| store.follow(UpdateId(update)));
+        store.most_density()
+    };
+    assert_eq!(follow(&mut store, 8), f32::INFINITY, "nothing settles");
+    shade(&mut store, 0..16, 0);
+    // Of 16 places of 512 texels a side.
+    (0..2).for_each(|patch| assert_eq!(settled(&mut store, 20, patch..patch + 1, 9).len(), 1));
+    store.follow(UpdateId(20));
+    assert_eq!(store.most_density(), 1.0, "that would soon be too much, if it went on so");
+    assert_eq!(follow(&mut store, 21), f32::INFINITY, "an eighth is there, and nothing comes");
+    (2..16).for_each(|patch| assert_eq!(settled(&mut store, 20, patch..patch + 1, 9).len(), 1));
+    assert!((0.7..0.9).contains(&follow(&mut store, 20)), "all of it is too much");
+    assert_eq!(follow(&mut store, 20 + RECENT_UPDATES + 1), f32::INFINITY, "that was long ago");
+}
+
+#[test]
+fn copies_with_more_texels_than_are_asked_for_go_first() {
+    let mut store = store(1);
+    shade(&mut store, 0..17, 0);
+    (0..16).for_each(|patch| assert_eq!(settled(&mut store, 20, patch..patch + 1, 9).len(), 1));
+    (8..12).for_each(|patch| store.copies.get_mut(&ScenePatch(patch)).expect("a copy").pixels = [100.0; 2]);
+    store.begin(UpdateId(30));
+    (8..16).for_each(|patch| assert!(store.show(ScenePatch(patch), UpdateId(30)).is_some()));
+    assert!(settled(&mut store, 31, 16..17, 9).is_empty(), "there is no place yet");
+    let stay: Vec<u32> = store.copies().map(|(patch, _)| patch.0).collect();
+    assert_eq!(stay, [0, 1, 2, 3, 4, 5, 6, 7, 12, 13, 14, 15], "though they were shown last");
 }
 
 #[test]

@@ -182,15 +182,17 @@ impl Shading {
         }
     }
 
-    /// Shades the listed blocks as seen by a head, filtered for a display of so many pixels to a tangent of 1, x and y.
+    /// Shades the listed blocks as seen by a head, filtered for a display of so many pixels to a tangent of 1, x and y. `cleared` become
+    /// grey before.
     pub(crate) fn record(
         &self,
         recorder: &mut Recorder,
         world_from_head: Pose,
         pixels_per_tangent: [f32; 2],
+        cleared: &[Block],
     ) {
         let ShadingMemory { pass, pipeline, target, count, atlas, .. } = &self.memory;
-        if *count == 0 {
+        if *count == 0 && cleared.is_empty() {
             return;
         }
         let [width, height] = atlas.desc().extent;
@@ -201,6 +203,7 @@ impl Shading {
             pixels_per_tangent,
         };
         recorder.begin_pass(pass, target, &[]);
+        recorder.clear_rects(GREY, cleared.iter().map(|block| block.rect_texels()));
         recorder.bind(pipeline, &self.group);
         recorder.push_constants(pipeline, &push);
         recorder.draw(4, *count);
@@ -208,13 +211,16 @@ impl Shading {
     }
 }
 
+/// What is empty.
+const GREY: [f32; 4] = [0.5, 0.5, 0.5, 1.0];
+
 /// Mid-grey, ready to be sampled: an empty atlas costs the encoder nothing.
 fn clear(gpu: &Arc<Gpu>, atlas: &Image) -> Result<(), GpuError> {
     use shadecast_gpu::Access;
     let (from, to) = (vk::ImageLayout::TRANSFER_DST_OPTIMAL, vk::ImageLayout::SHADER_READ_ONLY_OPTIMAL);
     let mut recorder = gpu.record()?;
     recorder.transition(atlas, [vk::ImageLayout::UNDEFINED, from], Access::NONE, Access::COPY_WRITE);
-    recorder.clear_image(atlas, [0.5, 0.5, 0.5, 1.0]);
+    recorder.clear_image(atlas, GREY);
     recorder.transition(atlas, [from, to], Access::COPY_WRITE, Access::FRAGMENT_READ);
     gpu.wait(recorder.submit()?)
 }
