@@ -38,9 +38,9 @@ vec4 store_place(uvec2 block) {
     uvec4 sides = block_sides(block);
     uvec2 shared_bits = sides.xy | (sides.zw - sides.xy);
     int layer = int(block.y >> (2 * BLOCK_END_BITS)) - 1;
-    uvec2 pixel_steps = uvec2(block.x, block.x >> 16) >> STORED_PIXEL_BIT & 15;
+    uvec2 pixel_steps = uvec2(block.x, block.x >> 16) >> STORED_PIXEL_BIT & (1u << PIXEL_BITS) - 1;
     int highest = findLSB(shared_bits.x | shared_bits.y | 1 << (STORE_LEVELS - 1));
-    return vec4(layer, highest, exp2(0.25 * vec2(pixel_steps)));
+    return vec4(layer, highest, exp2(vec2(pixel_steps) / PIXEL_STEPS));
 }
 
 // The same, but of a block in the atlas how much of its colour is the newest picture's in place of its highest mip level.

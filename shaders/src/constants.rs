@@ -2,7 +2,7 @@
 //! those of `shadecast_protocol` that shaders read, to the compiler as macros of the same names. GLSL repeats none, and Rust
 //! repeats none of GLSL's.
 
-use shadecast_protocol::atlas::PatchKind;
+use shadecast_protocol::atlas::{PIXEL_BITS, PIXEL_STEPS, PatchKind};
 use shadecast_protocol::limits::{
     BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_SAMPLE_RING, MAX_VIEWS, PATCH_MAX_VERTICES, PREDICTIONS,
     STORE_PAGE_SIDE, SUPERBLOCK_MIN_LOG2,
@@ -73,8 +73,8 @@ pub const MAX_FRUSTA: u32 = 4;
 
 shared! {
     {
-        BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PREDICTIONS,
-        STORE_PAGE_SIDE, SUPERBLOCK_MIN_LOG2,
+        BLOCK_INSET_TEXELS, MAX_LIGHTS, MAX_VIEWS, NEAR_M, PATCH_MAX_VERTICES, PIXEL_BITS, PIXEL_STEPS,
+        PREDICTIONS, STORE_PAGE_SIDE, SUPERBLOCK_MIN_LOG2,
     }
 
     /// Views that are drawn at once.

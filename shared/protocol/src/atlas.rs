@@ -300,8 +300,9 @@ impl Block {
 pub struct PixelTexels(u8);
 
 /// Steps of an octave.
-const PIXEL_STEPS: f32 = 4.0;
-const PIXEL_BITS: u32 = 4;
+pub const PIXEL_STEPS: f32 = 4.0;
+/// Bits of the number of steps along a side.
+pub const PIXEL_BITS: u32 = 4;
 
 impl PixelTexels {
     /// The nearest to so many texels.
