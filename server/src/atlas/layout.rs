@@ -323,7 +323,7 @@ impl Layout {
 
     /// What becomes of each block in view, in patch order.
     fn turns(&mut self) -> Vec<Turn> {
-        let density = self.asked * self.density();
+        let density = self.sized_for();
         let mut turns = std::mem::take(&mut self.scratch.turns);
         turns.clear();
         turns.extend(self.live.iter().map(|patch| self.shape(*patch).turn(*patch, density, self.new_part)));
@@ -416,7 +416,7 @@ impl Layout {
         }
         self.scratch.waiting = waiting;
         if fits {
-            let density = self.asked * self.density();
+            let density = self.sized_for();
             let has_turned = |(turn, size): &(&Turn, &BlockSize)| turn.after == **size || turn.now.is_none();
             for (turn, size) in turns.iter().zip(sizes).filter(has_turned) {
                 let part = if turn.after == *size { 1.0 } else { self.new_part };
@@ -513,6 +513,11 @@ impl Layout {
     /// Of the texels for a pixel that are asked for, the part that blocks are sized for; below 1 under pressure.
     pub(crate) fn density(&self) -> f32 {
         self.pressure.step().0.min(self.most_growth())
+    }
+
+    /// Texels for a pixel that blocks are sized for.
+    fn sized_for(&self) -> f32 {
+        self.asked * self.density()
     }
 
     /// So many times the texels for a pixel that are asked for, and the store holds what was in view lately.

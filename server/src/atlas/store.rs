@@ -35,7 +35,7 @@ const OUTGROWN_STEPS: u8 = 1;
 const OUTGROWN_STEPS_COARSE: u8 = 2;
 /// Where there is no place, so many texels are given up at once: a quarter of a page.
 const EVICTED_TEXELS: u64 = STORE_PAGE_SIDE as u64 * STORE_PAGE_SIDE as u64 / 4;
-/// Beyond this part of its texels the store is crowded: a copy is outgrown late then.
+/// Beyond this part of its texels the store is crowded.
 const CROWDED_PART: f64 = 0.95;
 /// What was shown within so many updates may come back soon: a head that looks around takes ten seconds.
 const RECENT_UPDATES: u32 = 300;
@@ -66,6 +66,8 @@ pub(crate) struct Store {
     qps: VecDeque<(UpdateId, u8)>,
     /// Texels that may still be renewed with this update.
     renewable_texels: u64,
+    /// With this update there is hardly a place left: a copy is outgrown late.
+    is_crowded: bool,
     /// Where the next update begins to look for what may settle.
     next: ScenePatch,
     atlas_texels: u64,
@@ -137,6 +139,7 @@ impl Store {
     /// An update begins to be placed.
     pub(crate) fn begin(&mut self, update: UpdateId) {
         self.renewable_texels = self.atlas_texels / MOST_RENEWED_PART;
+        self.is_crowded = self.texels() as f64 > CROWDED_PART * self.all_texels() as f64;
         if update.0.is_multiple_of(MEASURED_EACH) {
             self.follow(update);
         }
@@ -186,7 +189,6 @@ impl Store {
         pixels: [f32; 2],
     ) -> Served {
         let newest_qp = self.qps.front().map(|(_, qp)| *qp);
-        let is_crowded = self.texels() as f64 > CROWDED_PART * self.all_texels() as f64;
         let Some(copy) = self.copies.get_mut(&patch) else { return Served::Atlas(None) };
         copy.pixels = [0, 1].map(|axis| copy.pixels[axis].max(pixels[axis]));
         let now = copy.block.size;
@@ -194,7 +196,7 @@ impl Store {
         let wider = wanted.width_log2.saturating_sub(now.width_log2);
         let higher = wanted.height_log2.saturating_sub(now.height_log2);
         let is_fine = newest_qp.is_none_or(|qp| qp <= FINE_QP);
-        let most = if is_fine && !is_crowded { OUTGROWN_STEPS } else { OUTGROWN_STEPS_COARSE };
+        let most = if is_fine && !self.is_crowded { OUTGROWN_STEPS } else { OUTGROWN_STEPS_COARSE };
         let finer_steps = if is_fine { FINER_STEPS } else { MUCH_FINER_STEPS };
         let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + finer_steps);
         let (pixels, texels) = (copy.pixels, u64::from(copy.size_at(density).texels()));

@@ -35,7 +35,7 @@ impl Layout {
     /// Takes out of what needs a block in the atlas what the store has.
     pub(super) fn serve(&mut self, update: UpdateId) {
         self.store.begin(update);
-        let density = self.asked * self.density();
+        let density = self.sized_for();
         let Self { live, around, store, served, states, .. } = self;
         served.clear();
         live.retain(|patch| {
@@ -100,7 +100,7 @@ impl Layout {
         may: impl Fn(ScenePatch) -> bool,
         mut put: impl FnMut(ScenePatch, Block, PixelTexels),
     ) {
-        let density = self.asked * self.density();
+        let density = self.sized_for();
         let Self { live, states, store, .. } = self;
         let with_pixel =
             |patch: ScenePatch, block: Block| put(patch, block, states[patch.index()].pixel(block));
