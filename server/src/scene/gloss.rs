@@ -19,8 +19,6 @@ const SKY_SLOPE: f32 = 0.5;
 /// Steps by which a texture's colour changes as a pixel covers twice as much of it: a quarter of what two neighbouring levels of busy
 /// textures differ by at most. A block that is filtered anew costs bits, and blurs others.
 const TEXTURE_STEPS_BY_OCTAVE: f32 = 6.0;
-/// Part of it that counts for a copy in the store.
-const COPY_BLUR: f32 = 0.5;
 /// What is seen more edge on than this cosine is filtered as if it were not.
 const GRAZING_COSINE: f32 = 0.03;
 /// The part of a texture's texels that may be glossier than what is counted with.
@@ -101,15 +99,6 @@ impl Gloss {
             + 2.0 * octaves(then.axis_cosine, now.axis_cosine)
             + octaves(then.facing_cosine, now.facing_cosine);
         self.steps_by_octave * footprint
-    }
-
-    /// The same where the texture was filtered for more than a pixel covers now; for less, a copy in the store has coarser levels. Where the
-    /// head looks does not count: at the border of a view pixels are finer than in its middle, and every turn would ask for new copies.
-    /// A copy may be blurred by half an octave, where a block is filtered anew for a quarter: its bits are spent again.
-    pub(crate) fn blurred_steps(&self, then: &Seen, now: &Seen) -> f32 {
-        let finer = |then: f32, now: f32| (then / now).log2().max(0.0);
-        let footprint = finer(then.distance_m, now.distance_m) + finer(now.facing_cosine, then.facing_cosine);
-        COPY_BLUR * self.steps_by_octave * footprint
     }
 }
 
@@ -270,13 +259,6 @@ mod tests {
         assert!(aside.is_sorted_by(|a, b| a < b) && aside[0] > 0.4, "{aside:?}");
         assert!(steps(from, at(0.0, 4.0, 0.0)) >= 10.0, "half as large");
         assert!(steps(from, at(0.0, 2.0, 0.5)) > 1.0, "a pixel beside the middle covers less");
-        let blurred = |a: Pose, b: Pose| {
-            let seen = |head| Seen::from(head, Vec3::ZERO, 0.0, Some(Vec3::Z));
-            gloss.blurred_steps(&seen(a), &seen(b))
-        };
-        assert!(blurred(from, at(0.0, 1.0, 0.0)) >= 5.0 && blurred(from, at(0.0, 4.0, 0.0)) == 0.0);
-        assert_eq!(blurred(from, at(0.0, 2.0, 0.5)), 0.0, "where the head looks does not count");
-        assert!(blurred(at(3.0, 2.0, 0.0), at(0.0, 3.6, 0.0)) > 0.5, "less edge on");
         assert!(steps(from, at(0.0, 0.0, 0.0)).is_finite() && steps(from, at(0.0, -2.0, 0.0)).is_finite());
     }
 }

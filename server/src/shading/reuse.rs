@@ -491,10 +491,8 @@ impl Record {
         let receiver = *receiver;
         let seen = |head: Pose| Seen::from(head, receiver.centre, receiver.radius_m, receiver.normal);
         let (then, now) = (seen(self.world_from_head), seen(world_from_head));
-        let filtered = match block.is_stored() {
-            true => receiver.gloss.blurred_steps(&then, &now),
-            false => receiver.gloss.filtered_steps(&then, &now),
-        };
+        // A copy has mip levels for larger pixels; for smaller ones a larger block will take its place.
+        let filtered = if block.is_stored() { 0.0 } else { receiver.gloss.filtered_steps(&then, &now) };
         if filtered > allowed_steps {
             return [0.0, filtered];
         }

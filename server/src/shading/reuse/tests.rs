@@ -320,6 +320,17 @@ fn a_copy_that_is_not_shown_is_not_stale_for_a_head_that_moves() {
 }
 
 #[test]
+fn a_copy_is_not_stale_for_pixels_of_another_size() {
+    let textured = Gloss { steps_by_radian: 1.0, steps_by_octave: 50.0, ..GLOSS };
+    let (row, mut reuse) = (Row { gloss: textured, ..row() }, Reuse::new(true));
+    due(&mut reuse, &row, row.moment([0; 4]), &all());
+    let near = Pose { position: HEAD.position - Vec3::Z, ..HEAD };
+    let moment = row.moment([0; 4]);
+    let filtered = reuse.due(|now| *now = moment, near, settled(false).into_iter(), &row, u64::MAX).len();
+    assert_eq!((filtered, stale(&reuse)), (20, vec![]), "blocks of the atlas are filtered anew");
+}
+
+#[test]
 fn a_copy_may_differ_by_more_where_pictures_are_coded_coarsely_and_a_block_may_not() {
     let moves = |qp: u8, placed: Vec<Placed>| {
         let (row, mut reuse) = (row(), Reuse::new(true));
