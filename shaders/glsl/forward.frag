@@ -32,7 +32,8 @@ void main() {
     vec4 dx = dFdx(uvs), dy = dFdy(uvs);
     Surface s = Surface(world_position, world_normal * side, world_tangent.xyz, world_tangent.w,
         uvs.xy, dx.xy, dy.xy, uvs.zw, dx.zw, dy.zw, vertex_color);
-    vec4 shown = display_color(m, s, view.world_eye.xyz);
+    float sun_reaches = -1.0;
+    vec4 shown = display_color(m, s, view.world_eye.xyz, sun_reaches);
     if (m.alpha_cutoff != NO_ALPHA_CUTOFF && shown.a < m.alpha_cutoff) discard;
     color = vec4(shown.rgb, 1.0);
 }

@@ -57,11 +57,14 @@ vec3 reflected(vec3 n, vec3 v, vec3 l, vec3 diffuse, vec3 f0, float roughness) {
     return ((1.0 - fresnel) * diffuse / 3.14159265 + fresnel * distribution * visibility) * n_l;
 }
 
-// Sun and lamps. `facing` is the surface's own normal, without the normal map: what the shadow map knows.
-vec3 direct_light(vec3 at, vec3 facing, vec3 n, vec3 v, vec3 diffuse, vec3 f0, float roughness) {
+// Sun and lamps. `facing` is the surface's own normal, without the normal map: what the shadow map knows. sun_reaches: below 0
+// until it was looked up, for samples of one place to share.
+vec3 direct_light(
+    vec3 at, vec3 facing, vec3 n, vec3 v, vec3 diffuse, vec3 f0, float roughness, inout float sun_reaches) {
     vec3 sum = vec3(0.0);
     if (dot(n, light.to_sun.xyz) > 0.0) {
-        sum = light.irradiance.rgb * sun_visibility(at, facing)
+        if (sun_reaches < 0.0) sun_reaches = sun_visibility(at, facing);
+        sum = light.irradiance.rgb * sun_reaches
             * reflected(n, v, light.to_sun.xyz, diffuse, f0, roughness);
     }
     for (uint i = 0; i < light.punctual_count.x; i++) {
@@ -73,7 +76,7 @@ vec3 direct_light(vec3 at, vec3 facing, vec3 n, vec3 v, vec3 diffuse, vec3 f0, f
 }
 
 // Linear radiance towards the eye; alpha is the base colour's.
-vec4 shade(MaterialGpu m, Surface s, vec3 world_eye) {
+vec4 shade(MaterialGpu m, Surface s, vec3 world_eye, inout float sun_reaches) {
     vec4 base = base_color(m, s);
     vec4 rough_metal = fetch(m, METALLIC_ROUGHNESS_SLOT, m.metallic_roughness_texture, s, vec4(1.0));
     float roughness = clamp(m.roughness * rough_metal.g, 0.04, 1.0);
@@ -87,15 +90,18 @@ vec4 shade(MaterialGpu m, Surface s, vec3 world_eye) {
     vec3 glow = fetch(m, EMISSIVE_SLOT, m.emissive_texture, s, vec4(1.0)).rgb;
     vec3 emissive = m.emissive_metallic.rgb * glow;
     float n_v = max(dot(n, v), 1e-3);
-    vec3 radiance = direct_light(s.world_position, normalize(s.world_normal), n, v, diffuse, f0, roughness)
+    vec3 direct =
+        direct_light(s.world_position, normalize(s.world_normal), n, v, diffuse, f0, roughness, sun_reaches);
+    vec3 radiance = direct
         + occlusion * (diffuse * ambient + mirrored * ambient_brdf(f0, roughness, n_v)) + emissive;
     return vec4(radiance, base.a);
 }
 
-// Linear display light, 0..1; alpha is the base colour's. What is unlit is shown as it is, not tone-mapped.
-vec4 display_color(MaterialGpu m, Surface s, vec3 world_eye) {
+// Linear display light, 0..1; alpha is the base colour's. What is unlit is shown as it is, not tone-mapped. sun_reaches: as
+// direct_light has it.
+vec4 display_color(MaterialGpu m, Surface s, vec3 world_eye, inout float sun_reaches) {
     if (m.unlit != 0) return clamp(base_color(m, s), 0.0, 1.0);
-    vec4 shaded = shade(m, s, world_eye);
+    vec4 shaded = shade(m, s, world_eye, sun_reaches);
     return vec4(tone_map(shaded.rgb), shaded.a);
 }
 

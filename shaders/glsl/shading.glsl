@@ -32,6 +32,7 @@ layout(push_constant) uniform ShadingPush {
     vec4 world_eye;                    // where it is
     vec2 atlas_extent_texels;
     vec2 pixels_per_tangent;           // of the display, in the middle of an eye's picture
+    uint samples_a_side;               // of a texel whose textures are finer than a pixel
 };
 layout(location = 0) flat in uint block_index;
 layout(location = 1) in vec2 middle_texel; // of the block
@@ -74,6 +75,34 @@ mat2 footprint_texels(vec3 world_at, mat2x3 world_by_texel) {
     vec3 at = in_head(vec4(world_at, 1.0));
     vec3 x = in_head(vec4(world_by_texel[0], 0.0)), y = in_head(vec4(world_by_texel[1], 0.0));
     return texels_per_pixel(mat2(pixels_of(at, x, pixels_per_tangent), pixels_of(at, y, pixels_per_tangent)));
+}
+
+// Texels of a material's textures along the longest side of what is filtered.
+float longest_texels(MaterialGpu m, Surface s) {
+    vec2 uv = vec2(length(s.uv_dx), length(s.uv_dy)) * m.texture_extent_texels;
+    vec2 uv1 = vec2(length(s.uv1_dx), length(s.uv1_dy)) * m.texture_extent1_texels;
+    return max(max(uv.x, uv.y), max(uv1.x, uv1.y));
+}
+
+// Mean light of `side` by `side` samples of a pixel, with textures filtered for a part of it each. One sample of a filtered texture
+// is too bright: tone mapping is concave. Position and normal are those of the pixel's middle.
+vec4 mean_display_color(MaterialGpu m, Surface s, uint side) {
+    vec2 dx = s.uv_dx / float(side), dy = s.uv_dy / float(side);
+    vec2 dx1 = s.uv1_dx / float(side), dy1 = s.uv1_dy / float(side);
+    Surface part = s;
+    part.uv_dx = dx;
+    part.uv_dy = dy;
+    part.uv1_dx = dx1;
+    part.uv1_dy = dy1;
+    vec4 sum = vec4(0.0);
+    float sun_reaches = -1.0;
+    for (uint at = 0; at < side * side; at++) {
+        vec2 place = vec2(at % side, at / side) + 0.5 * (1.0 - float(side));
+        part.uv = s.uv + dx * place.x + dy * place.y;
+        part.uv1 = s.uv1 + dx1 * place.x + dy1 * place.y;
+        sum += display_color(m, part, world_eye.xyz, sun_reaches);
+    }
+    return sum / float(side * side);
 }
 
 // The colour at a place of the block, in texels from its corner; alpha is 0 where the material cuts it out, else 1.
@@ -127,7 +156,7 @@ vec4 shaded(vec2 texel) {
     vec3 facing = cross(at[1] - at[0], at[2] - at[0]);
     if (m.double_sided != 0 && dot(facing, world_eye.xyz - s.world_position) < 0.0) s.world_normal = -s.world_normal;
     s.color = clamp(s.color, 0.0, 1.0); // the gutter extrapolates
-    vec4 shown = display_color(m, s, world_eye.xyz);
+    vec4 shown = mean_display_color(m, s, longest_texels(m, s) > 1.0 ? samples_a_side : 1);
     float is_there = m.alpha_cutoff != NO_ALPHA_CUTOFF && shown.a < m.alpha_cutoff ? 0.0 : 1.0;
     return vec4(srgb_from_linear(shown.rgb), is_there);
 }

@@ -20,6 +20,7 @@ layout(push_constant) uniform ShadingPush {
     vec4 world_eye;                    // where it is
     vec2 atlas_extent_texels;
     vec2 pixels_per_tangent;           // of the display, in the middle of an eye's picture
+    uint samples_a_side;
 };
 layout(location = 0) flat out uint block_index;
 layout(location = 1) out vec2 texel; // inside the block

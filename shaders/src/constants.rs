@@ -140,8 +140,6 @@ shared! {
     MIN_TEXELS_PER_PIXEL: f32 = 1.0;
     /// Most that a pixel is taken to cover of a block in any direction.
     MAX_TEXELS_PER_PIXEL: f32 = 32.0;
-    /// Places across and down a texel at which it is shaded where a measurement wants that.
-    SUPERSAMPLES: u32 = 4;
     /// Texels across and down that an invocation of `ycbcr.comp` converts.
     YCBCR_TEXELS: [u32; 2] = [8, 2];
     /// Texels of a row, or of a column, that a chroma sample is made of: its own two, and two on either side.

@@ -5,7 +5,7 @@
 
 use crate::atlas::layout::Layout;
 use crate::encode::Source;
-use crate::pacing::relief::Measures;
+use crate::pacing::relief::{Measure, Measures};
 use crate::scene::SceneGpu;
 use crate::shading::passes::shading::{Shading, ShadingMemory};
 use crate::shading::passes::ycbcr::Ycbcr;
@@ -156,8 +156,10 @@ impl ShadingStep {
         self.ycbcr.write_cells(layout.cell_extents());
         recorder.barrier(Access::COMPUTE_READ, Access::COLOR_WRITE); // the last conversion has read the atlas
         let pixels_per_tangent = self.eye.pixels_per_tangent();
-        recorder
-            .scope("shading", |r| self.shading.record(r, views.world_from_head, pixels_per_tangent, cleared));
+        let samples_a_side = self.policy.filter.samples_a_side(self.measures.has(Measure::OneSample));
+        recorder.scope("shading", |r| {
+            self.shading.record(r, views.world_from_head, pixels_per_tangent, samples_a_side, cleared);
+        });
         recorder.barrier(Access::COLOR_WRITE, Access::COMPUTE_READ);
         recorder.scope("ycbcr", |r| self.ycbcr.record(r));
         Ok(recorder)

@@ -8,6 +8,7 @@ use shadecast_lab::session::options::{Renderer, RunOptions, Spared};
 use shadecast_lab::session::originals::Arrival;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::pacing::relief::{Measure, Measures};
 use shadecast_server::shading::filter::Filter;
 use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_test_support::headset::turn;
@@ -78,6 +79,25 @@ fn filtering_for_display_pixels_is_nearer_to_the_truth() {
     assert!(pixel.psnr_db > texel.psnr_db.map(|db| db + 0.5), "{:?}, {:?}", pixel.psnr_db, texel.psnr_db);
     assert!(pixel.flip < texel.flip, "{:?}, {:?}", pixel.flip, texel.flip);
     assert_eq!(texel.validation_messages, Some(0));
+}
+
+/// Light of a filtered texture is not the mean of its texels' light: one sample is too bright, and has no detail.
+#[test]
+fn four_samples_of_a_pixel_are_nearer_to_the_truth_than_one() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let walls = SceneSource::File(write_walls(out.path(), TEXELS).unwrap());
+    let [four, one] = [Measures::default(), Measures::only(Measure::OneSample)].map(|measures| {
+        let policy = UpdatePolicy { measures: Some(measures), ..UpdatePolicy::default() };
+        let spared = Spared { policy, ..Spared::default() };
+        let (link, renderer) = (LinkProfile::default().into(), Renderer::Local);
+        let of_walls = small(walls.clone(), &out.path().join("run"));
+        run(&RunOptions { spared, link, renderer, truth_places: 4, ..of_walls }).unwrap().stats
+    });
+    println!("{:?} {:?} {:?} {:?}", four.psnr_db, one.psnr_db, four.flip, one.flip);
+    assert!(four.psnr_db > one.psnr_db.map(|db| db + 1.0), "{:?}, {:?}", four.psnr_db, one.psnr_db);
+    assert!(four.flip < one.flip.map(|flip| 0.9 * flip), "{:?}, {:?}", four.flip, one.flip);
+    assert_eq!([four, one].map(|stats| stats.validation_messages), [Some(0); 2]);
 }
 
 #[test]

@@ -19,7 +19,6 @@ const SERVER: &[&[&Shader]] = &[
     &[&shaders::ID_BUFFER_PULLED_VERT, &shaders::ID_BUFFER_PULLED_FRAG],
     &[&shaders::SHADING_VERT, &shaders::SHADING_FRAG],
     &[&shaders::SHADING_VERT, &shaders::SHADING_TEXEL_FRAG],
-    &[&shaders::SHADING_VERT, &shaders::SHADING_SUPERSAMPLED_FRAG],
     &[&shaders::SHADOW_VERT, &shaders::SHADOW_FRAG],
     &[&shaders::PRESENT_VERT, &shaders::PRESENT_FRAG],
     &[&shaders::EXTENTS_COMP],

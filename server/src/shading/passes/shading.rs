@@ -17,9 +17,7 @@ use shadecast_protocol::atlas::{AtlasExtent, Block};
 use shadecast_protocol::limits::MAX_PATCH_SLOTS;
 use shadecast_protocol::pose::Pose;
 use shadecast_shaders::Shader;
-use shadecast_shaders::generated::{
-    BlockGpu, SHADING_FRAG, SHADING_SUPERSAMPLED_FRAG, SHADING_TEXEL_FRAG, SHADING_VERT, ShadingPush,
-};
+use shadecast_shaders::generated::{BlockGpu, SHADING_FRAG, SHADING_TEXEL_FRAG, SHADING_VERT, ShadingPush};
 use std::sync::Arc;
 
 /// The stage with its output.
@@ -42,9 +40,8 @@ pub(crate) struct ShadingMemory {
 /// The shader of a filter.
 fn fragment(filter: Filter) -> &'static Shader {
     match filter {
-        Filter::Pixel => &SHADING_FRAG,
+        Filter::Pixel | Filter::Supersampled => &SHADING_FRAG,
         Filter::Texel => &SHADING_TEXEL_FRAG,
-        Filter::Supersampled => &SHADING_SUPERSAMPLED_FRAG,
     }
 }
 
@@ -182,13 +179,14 @@ impl Shading {
         }
     }
 
-    /// Shades the listed blocks as seen by a head, filtered for a display of so many pixels to a tangent of 1, x and y. `cleared` become
-    /// grey before.
+    /// Shades the listed blocks as seen by a head, filtered for a display of so many pixels to a tangent of 1, x and y. Where textures
+    /// are finer than a pixel, it has so many samples a side. `cleared` become grey before.
     pub(crate) fn record(
         &self,
         recorder: &mut Recorder,
         world_from_head: Pose,
         pixels_per_tangent: [f32; 2],
+        samples_a_side: u32,
         cleared: &[Block],
     ) {
         let ShadingMemory { pass, pipeline, target, count, atlas, .. } = &self.memory;
@@ -201,6 +199,8 @@ impl Shading {
             world_eye: world_from_head.position.extend(0.0).to_array(),
             atlas_extent_texels: [width as f32, height as f32],
             pixels_per_tangent,
+            samples_a_side,
+            _pad_end: Default::default(),
         };
         recorder.begin_pass(pass, target, &[]);
         recorder.clear_rects(GREY, cleared.iter().map(|block| block.rect_texels()));
