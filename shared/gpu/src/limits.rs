@@ -74,7 +74,7 @@ const ROWS: &[Row] = &[
     // An instance has at most as many vertices.
     ("maxDrawIndexedIndexValue", [(1 << 24) - 1, 0], |l| &mut l.core.max_draw_indexed_index_value),
     ("maxBoundDescriptorSets", [1, 1], |l| &mut l.core.max_bound_descriptor_sets),
-    ("maxPushConstantsSize", [80, 40], |l| &mut l.core.max_push_constants_size),
+    ("maxPushConstantsSize", [84, 40], |l| &mut l.core.max_push_constants_size),
     ("maxUniformBufferRange", [3840, 304], |l| &mut l.core.max_uniform_buffer_range),
     // The server's saved vertices, the client's samples.
     ("maxStorageBufferRange", [128 << 20, 128 << 20], |l| &mut l.core.max_storage_buffer_range),
