@@ -1,6 +1,7 @@
 //! Conversion of colours to a picture's planes: full-range BT.709 (ITU-R BT.709-6, item 3), 4:2:0, chroma centre-sited. On the
 //! CPU, for pictures that never were on the device.
 
+use glam::Vec3;
 use shadecast_protocol::picture::I420;
 
 /// The picture of `rgba8` (tight rows, sides even).
@@ -38,6 +39,12 @@ pub(crate) fn ycbcr(rgb8: &[u8]) -> [f32; 3] {
     let [r, g, b] = [0, 1, 2].map(|c| f32::from(rgb8[c]) / 255.0);
     let y = 0.2126 * r + 0.7152 * g + 0.0722 * b;
     [y, (b - y) / 1.8556 + 128.0 / 255.0, (r - y) / 1.5748 + 128.0 / 255.0]
+}
+
+/// Red, green and blue of full-range BT.709 as planes hold it; all 0..1, red, green and blue also beyond.
+pub fn rgb_from_ycbcr([y, cb, cr]: [f32; 3]) -> Vec3 {
+    let (blue, red) = (y + 1.8556 * (cb - 128.0 / 255.0), y + 1.5748 * (cr - 128.0 / 255.0));
+    Vec3::new(red, (y - 0.2126 * red - 0.0722 * blue) / 0.7152, blue)
 }
 
 pub(crate) fn byte(value: f32) -> u8 {

@@ -15,11 +15,12 @@ use std::ptr;
 use std::time::Duration;
 
 use openh264_sys2::{
-    CAMERA_VIDEO_REAL_TIME, CM_BT709, CONSTANT_ID, CP_BT709, DEBLOCKING_IDC_1, ENCODER_OPTION,
-    ENCODER_OPTION_SVC_ENCODE_PARAM_EXT, ENCODER_OPTION_TRACE_LEVEL, ISVCEncoder, ISVCEncoderVtbl, LEVEL_5_2,
-    MEDIUM_COMPLEXITY, PRO_HIGH, RC_OFF_MODE, SEncParamExt, SFrameBSInfo, SLayerBSInfo, SM_FIXEDSLCNUM_SLICE,
-    SM_SINGLE_SLICE, SSourcePicture, SSpatialLayerConfig, TRC_BT709, VF_UNDEF, WELS_LOG_QUIET,
-    source::APILoader, videoFormatI420, videoFrameTypeI, videoFrameTypeIDR, videoFrameTypeP,
+    CAMERA_VIDEO_REAL_TIME, CM_BT709, CONSTANT_ID, CP_BT709, DEBLOCKING_IDC_0, DEBLOCKING_IDC_1,
+    ENCODER_OPTION, ENCODER_OPTION_SVC_ENCODE_PARAM_EXT, ENCODER_OPTION_TRACE_LEVEL, ISVCEncoder,
+    ISVCEncoderVtbl, LEVEL_5_2, MEDIUM_COMPLEXITY, PRO_HIGH, RC_OFF_MODE, SEncParamExt, SFrameBSInfo,
+    SLayerBSInfo, SM_FIXEDSLCNUM_SLICE, SM_SINGLE_SLICE, SSourcePicture, SSpatialLayerConfig, TRC_BT709,
+    VF_UNDEF, WELS_LOG_QUIET, source::APILoader, videoFormatI420, videoFrameTypeI, videoFrameTypeIDR,
+    videoFrameTypeP,
 };
 
 use super::{AccessUnit, EncodeError, Encoded, Encoder, Source};
@@ -53,19 +54,21 @@ pub struct EncoderSettings {
     /// Slices that a picture is cut into, each coded by a thread of its own, 1 to 4. The stream depends on this
     /// number, but not on how many cores there are.
     pub threads: u32,
+    /// Smooths over the borders of macroblocks: for pictures of a view. Of an atlas it would mix blocks that are no neighbours.
+    pub loop_filter: bool,
 }
 
 impl EncoderSettings {
     /// Settings for pictures of this extent: default quantiser, 30 pictures per second, one thread.
     pub fn new(extent_texels: [u32; 2]) -> Self {
-        Self { extent_texels, qp: DEFAULT_QP, fps: 30, threads: 1 }
+        Self { extent_texels, qp: DEFAULT_QP, fps: 30, threads: 1, loop_filter: false }
     }
 
     /// Settings of a stream that makes so many updates a second: the one place where they are decided, for the server and for
     /// whoever measures it.
     pub fn for_stream(extent: AtlasExtent, qp: u8, rate_hz: f64) -> Self {
         let fps = rate_hz.round().clamp(1.0, MAX_FPS.into()) as u32;
-        Self { extent_texels: extent.texels(), qp, fps, threads: STREAM_SLICES }
+        Self { extent_texels: extent.texels(), qp, fps, threads: STREAM_SLICES, loop_filter: false }
     }
 
     /// # Errors
@@ -95,7 +98,7 @@ impl EncoderSettings {
         params.eSpsPpsIdStrategy = CONSTANT_ID;
         params.bPrefixNalAddingCtrl = false;
         params.iEntropyCodingModeFlag = 1;
-        params.iLoopFilterDisableIdc = DEBLOCKING_IDC_1;
+        params.iLoopFilterDisableIdc = if self.loop_filter { DEBLOCKING_IDC_0 } else { DEBLOCKING_IDC_1 };
         params.bEnableDenoise = false;
         params.bEnableBackgroundDetection = false;
         params.bEnableAdaptiveQuant = false;

@@ -273,7 +273,7 @@ fn view(world_from_head: Pose, eye: Eye, margin: f32) -> View {
 }
 
 /// The head at `time`, by constant linear and angular velocity.
-pub(crate) fn extrapolate(state: &HeadState, time: ServerTime) -> Pose {
+pub fn extrapolate(state: &HeadState, time: ServerTime) -> Pose {
     extrapolate_within(state, time, MAX_HORIZON_NS)
 }
 

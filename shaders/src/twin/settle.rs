@@ -1,7 +1,7 @@
 //! Twin of `client_settle.comp` and `client_settle_mip.comp`: a block of a picture, and its mip levels, as the store keeps them.
 
 use super::atlas_lookup::{Plane, inside_block};
-use crate::color::linear_from_srgb;
+use crate::color::{linear_from_srgb, rgb_from_ycbcr};
 use crate::constants::STORE_LEVELS;
 use glam::{UVec3, Vec2, Vec3};
 use shadecast_protocol::atlas::Block;
@@ -71,12 +71,6 @@ fn coarser(finer: &[Vec3], width: usize) -> LevelTexels {
         [a, a + 1, b, b + 1].into_iter().map(|at| two_rows[at]).sum::<Vec3>() * 0.25
     };
     rows.flat_map(|two_rows| (0..width / 2).map(move |x| mean(two_rows, x))).collect()
-}
-
-/// Full-range BT.709, the inverse of [`crate::color`]'s.
-fn rgb_from_ycbcr([y, cb, cr]: [f32; 3]) -> Vec3 {
-    let (blue, red) = (y + 1.8556 * (cb - 128.0 / 255.0), y + 1.5748 * (cr - 128.0 / 255.0));
-    Vec3::new(red, (y - 0.2126 * red - 0.0722 * blue) / 0.7152, blue)
 }
 
 #[cfg(test)]

@@ -17,6 +17,7 @@ mod live;
 mod merge_traces;
 mod motion;
 mod neighbours;
+mod quality;
 mod render_thread;
 mod run;
 mod skinning;
@@ -59,6 +60,8 @@ struct Cli {
 enum Command {
     /// Runs server, link and client in one process on a virtual clock, and measures
     Run(run::RunArgs),
+    /// Measures the atlas beside a video of both eyes: the same bit rate, the same links, the best of several settings of video
+    Quality(quality::QualityArgs),
     /// Measures how exactly vertices move: every way over several links, in one table
     Motion(motion::MotionArgs),
     /// Measures what each cause of error costs: a run as it ships, and the same run without each cause in turn
@@ -168,6 +171,7 @@ enum Command {
 pub(crate) fn run() -> anyhow::Result<()> {
     match Cli::parse().command {
         Command::Run(args) => run::run(args),
+        Command::Quality(args) => quality::run(args),
         Command::Motion(args) => motion::run(args),
         Command::Causes(args) => causes::run(args),
         Command::Table1(args) => table1::run(args),

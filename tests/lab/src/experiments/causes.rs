@@ -77,7 +77,7 @@ impl Cause {
     pub fn without(self) -> &'static str {
         match self {
             Self::Density => "two texels a pixel instead of one, in an atlas of 4096x2048",
-            Self::Filter => "16 samples of a texel instead of four",
+            Self::Filter => "16 samples of each texel",
             Self::Reconstruction => "luma between texels by a cubic instead of lines",
             Self::ShadowTime => "surfaces and shadows shaded for the very time of display",
             Self::ShadowResolution => "a shadow map of twice the side, in atlas and truth",

@@ -16,6 +16,7 @@ pub mod live;
 pub mod motion_table;
 pub mod paper_size;
 pub mod picture;
+pub mod quality;
 pub mod render_thread;
 pub mod run;
 pub mod skinning;

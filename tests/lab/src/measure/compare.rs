@@ -83,6 +83,15 @@ impl Comparer {
 
     /// The truth's picture and what it says of the shown one.
     pub fn measure(&mut self, shown: &Shown<'_>) -> anyhow::Result<(Rgb8Image, FrameMetrics)> {
+        self.measured(shown, false)
+    }
+
+    /// The same of a picture of which nobody says what is where: nothing counts as missing.
+    pub fn measure_whole(&mut self, shown: &Shown<'_>) -> anyhow::Result<(Rgb8Image, FrameMetrics)> {
+        self.measured(shown, true)
+    }
+
+    fn measured(&mut self, shown: &Shown<'_>, is_whole: bool) -> anyhow::Result<(Rgb8Image, FrameMetrics)> {
         let &Shown { world_from_eye, fov, time, .. } = shown;
         let (picture, probe) = self.render(world_from_eye, fov, time)?;
         let regions = Regions {
@@ -93,7 +102,7 @@ impl Comparer {
             truth: &picture,
             truth_probe: &probe,
             client: shown.picture,
-            client_probe: shown.probe,
+            client_probe: if is_whole { Some(&probe) } else { shown.probe },
             pixels_per_degree: pixels_per_degree(shown.picture.width, fov.left, fov.right),
             regions: &regions,
         };

@@ -15,6 +15,7 @@ mod reception;
 pub mod residents;
 pub mod runtime;
 pub mod seat;
+pub mod walk;
 
 use anyhow::{Context, bail};
 use ghost::Ghost;

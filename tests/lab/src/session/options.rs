@@ -21,7 +21,7 @@ use shadecast_transport::{LinkError, LinkProfile, LinkSchedule};
 use std::path::PathBuf;
 use std::str::FromStr;
 
-/// Which of the three renderers makes the pictures.
+/// Which renderer makes the pictures.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, clap::ValueEnum)]
 pub enum Renderer {
     /// The ground truth: its pictures, with nothing to compare.
@@ -30,6 +30,8 @@ pub enum Renderer {
     Local,
     /// The atlas pipeline over codec and simulated link.
     Stream,
+    /// A video of both eyes over the same link, turned to where the head looks.
+    Video,
 }
 
 impl Renderer {
@@ -39,6 +41,7 @@ impl Renderer {
             Self::Forward => "forward",
             Self::Local => "local",
             Self::Stream => "stream",
+            Self::Video => "video",
         }
     }
 }
@@ -270,6 +273,8 @@ pub struct RunOptions {
     pub store_pages: u32,
     /// The client blends from one picture to the next.
     pub blends: bool,
+    /// What a video shows beyond each side of an eye's field of view, degrees.
+    pub video_margin_degrees: f32,
     /// Texels that an update may shade again; all where it is `None`.
     pub shade_texels: Option<u64>,
     /// Updates per second.
@@ -319,6 +324,7 @@ impl RunOptions {
             room: USUAL_ROOM,
             store_pages: USUAL_STORE_PAGES,
             blends: true,
+            video_margin_degrees: 10.0,
             shade_texels: None,
             rate_hz: 30.0,
             refresh_hz: 72.0,
@@ -337,7 +343,7 @@ impl RunOptions {
                 link: LinkProfile { latency_ns: SHORT_WAY_NS, ..LinkProfile::default() }.into(),
                 stages: StageMs { encode: 0.0, decode: 0.0, ..self.stages },
             },
-            Renderer::Forward | Renderer::Stream => {
+            Renderer::Forward | Renderer::Stream | Renderer::Video => {
                 Medium { codecs: &[Codec::H264], link: self.link.clone(), stages: self.stages }
             }
         }
@@ -384,6 +390,9 @@ impl RunOptions {
         line += &format!(" --surround {}", self.surround);
         if !self.blends {
             line += " --no-blend";
+        }
+        if self.renderer == Renderer::Video {
+            line += &format!(" --rate {} --video-margin {}", self.rate_hz, self.video_margin_degrees);
         }
         if self.store_pages != usual.store_pages {
             line += &format!(" --store-pages {}", self.store_pages);

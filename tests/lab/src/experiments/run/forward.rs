@@ -6,13 +6,11 @@ use crate::image::Rgb8Image;
 use crate::measure::compare::Comparer;
 use crate::report::stats::{Counted, Summary};
 use crate::session::options::RunOptions;
+use crate::session::walk::Walk;
 use crate::session::{START_NS, Server};
-use anyhow::Context;
-use glam::{Quat, Vec3};
 use shadecast_mock_runtime::clock::period_begin_ns;
 use shadecast_mock_runtime::config::MockConfig;
-use shadecast_mock_runtime::head_path::HeadPath;
-use shadecast_protocol::pose::{Fov, Pose};
+use shadecast_protocol::pose::Eye;
 
 /// Writes `truth-NNNNNN-left.png` and `-right.png` every `dump_every` display frames, `truth-left.png` and `-right.png` of the
 /// last one, and a `stats.json` without figures. `config` is what the mock runtime would be given.
@@ -22,16 +20,14 @@ use shadecast_protocol::pose::{Fov, Pose};
 pub fn run(options: &RunOptions, config: &MockConfig) -> anyhow::Result<Report> {
     let server = Server::new(options)?;
     let mut comparer = comparer(&server, options)?;
-    let path = config.head_path.as_ref().context("a run has a head path")?;
-    let text = std::fs::read_to_string(path).with_context(|| format!("reading {}", path.display()))?;
-    let head = HeadPath::parse(&text, &path.display().to_string())?;
+    let walk = Walk::new(config, server.scene.scene.world_from_stage, options.fov_degrees)?;
     let frames = (options.seconds * options.refresh_hz).round() as u64;
     let every = u64::from(options.dump_every);
     let bar = progress(options.verbose, frames);
     for frame in 0..frames {
         let is_last = frame + 1 == frames;
         if is_last || (every > 0 && frame.is_multiple_of(every)) {
-            let eyes = pictures(options, config, &server, &mut comparer, &head, frame)?;
+            let eyes = pictures(options, &server, &mut comparer, &walk, frame)?;
             for (picture, side) in eyes.iter().zip(["left", "right"]) {
                 if every > 0 && frame.is_multiple_of(every) {
                     picture.write_png(&options.out.join(format!("truth-{frame:06}-{side}.png")))?;
@@ -50,25 +46,18 @@ pub fn run(options: &RunOptions, config: &MockConfig) -> anyhow::Result<Report> 
 /// What both eyes see in a display frame: it is seen when the next one begins.
 fn pictures(
     options: &RunOptions,
-    config: &MockConfig,
     server: &Server,
     comparer: &mut Comparer,
-    head: &HeadPath,
+    walk: &Walk,
     frame: u64,
 ) -> anyhow::Result<[Rgb8Image; 2]> {
     let display_ns = period_begin_ns(START_NS, options.refresh_hz, frame + 1);
-    let stage_from_head = head.pose_at((display_ns - START_NS) as f64 * 1e-9);
-    let world_from_head = server.scene.scene.world_from_stage.then(stage_from_head);
-    let mut eye = |x_m: f32| {
-        let head_from_eye = Pose { position: Vec3::X * x_m, orientation: Quat::IDENTITY };
-        let time = server.world_time(display_ns);
-        comparer.picture(
-            world_from_head.then(head_from_eye),
-            Fov::symmetric_degrees(options.fov_degrees),
-            time,
-        )
+    let world_from_head = walk.world_from_head(display_ns);
+    let [left, right] = walk.eyes();
+    let mut picture = |eye: Eye| {
+        comparer.picture(world_from_head.then(eye.head_from_eye), eye.fov, server.world_time(display_ns))
     };
-    Ok([eye(-0.5 * config.ipd_m)?, eye(0.5 * config.ipd_m)?])
+    Ok([picture(left)?, picture(right)?])
 }
 
 fn report(options: &RunOptions, server: &Server) -> anyhow::Result<Report> {

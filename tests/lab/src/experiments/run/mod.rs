@@ -3,6 +3,7 @@
 //! Options enter ([`RunOptions`]). Pictures leave, `stats.json`, and a report. Nothing here knows the question behind the run.
 
 mod forward;
+mod video;
 
 use crate::image::Rgb8Image;
 use crate::measure::compare::{Comparer, Shown};
@@ -150,6 +151,9 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
         from < frames,
         "comparing from display frame {from} on: the run has {frames}; give it more seconds"
     );
+    if options.renderer == Renderer::Video {
+        return video::run(options, &config);
+    }
     // SAFETY: this is called from the main thread of the program, or from tests that hold the lab's lock, before the
     // client's threads start.
     let mut lab = unsafe { Lab::open(options, &config) }?;

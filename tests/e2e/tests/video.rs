@@ -1,0 +1,82 @@
+//! A video of both eyes, as the atlas is compared with: it must be no weaker than it could be.
+
+use shadecast_lab::experiments::quality::{self, Video};
+use shadecast_lab::experiments::run::run;
+use shadecast_lab::report::stats::Stats;
+use shadecast_lab::scenes::walls::{TEXELS, write_walls};
+use shadecast_lab::session::options::{Head, Renderer, RunOptions};
+use shadecast_scene::load::SceneSource;
+use shadecast_server::pacing::quality::QualityOptions;
+use shadecast_test_support::headset::turn;
+use shadecast_transport::LinkProfile;
+use std::path::Path;
+
+fn small(out: &Path, head: &str, quality: QualityOptions) -> RunOptions {
+    let link: LinkProfile = "latency=20ms,jitter=10ms".parse().expect("a link");
+    RunOptions {
+        renderer: Renderer::Video,
+        link: link.into(),
+        head: Head::Named(head.to_owned()),
+        extent_pixels: [128, 128],
+        seconds: 1.2,
+        compare_from: 44,
+        truth_places: 2,
+        quality,
+        validation: true,
+        ..RunOptions::new(SceneSource::File(write_walls(out, TEXELS).expect("a room")), out.join("run"))
+    }
+}
+
+fn stats(options: &RunOptions) -> Stats {
+    let stats = run(options).unwrap().stats;
+    assert_eq!(stats.validation_messages, Some(0));
+    stats
+}
+
+/// With a fine quantiser nothing is lost but the filter of the time-warp and hues between pixels; a head that turns is foreseen.
+#[test]
+fn a_still_head_sees_the_truth_and_a_turning_one_nearly() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let [still, turning] = ["still", "turn"].map(|head| {
+        let fine = small(out.path(), head, QualityOptions::Constant(10));
+        stats(&RunOptions { video_margin_degrees: if head == "still" { 0.0 } else { 10.0 }, ..fine })
+    });
+    println!("{:?} {:?}, {:?} {:?}", still.psnr_db, still.flip, turning.psnr_db, turning.flip);
+    assert!(still.psnr_db > Some(31.0) && still.flip < Some(0.05), "{:?}, {:?}", still.psnr_db, still.flip);
+    assert!(turning.psnr_db_worst > Some(22.0), "{:?}", turning.psnr_db_worst);
+    assert_eq!(still.hole_fraction, Some(0.0), "a video has no holes");
+}
+
+#[test]
+fn a_video_takes_the_bits_that_it_may() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let rate = |mbit_per_s| small(out.path(), "stride", QualityOptions::Bitrate(mbit_per_s));
+    let [few, more] = [0.5, 2.0].map(|mbit_per_s| stats(&RunOptions { seconds: 2.0, ..rate(mbit_per_s) }));
+    let [few_mbit, more_mbit] = [&few, &more].map(|stats| stats.mbit_per_s.atlas);
+    assert!((0.4..0.6).contains(&few_mbit) && (1.6..2.4).contains(&more_mbit), "{few_mbit}, {more_mbit}");
+    assert!(more.flip < few.flip, "{:?}, {:?}", more.flip, few.flip);
+}
+
+#[test]
+fn both_ways_are_measured_alike_and_again_alike() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let options = RunOptions {
+        scene: SceneSource::Dragons(1),
+        ..small(out.path(), "stride", QualityOptions::Bitrate(2.0))
+    };
+    let links = ["latency=20ms,jitter=10ms", "latency=110ms,jitter=10ms"].map(str::to_owned);
+    let videos = [0.0, 10.0].map(|margin_degrees| Video { rate_hz: 30.0, margin_degrees });
+    let [found, again] = [(); 2].map(|()| quality::measure(&options, "dragons:1", &links, &videos).unwrap());
+    print!("{found}");
+    assert_eq!(found, again);
+    for over in &found.links {
+        assert_eq!(over.videos.len(), 2);
+        assert!(over.videos[0].flip <= over.videos[1].flip, "the best counts");
+        assert!((over.flip_ratio - over.ours.flip / over.videos[0].flip).abs() < 1e-12);
+    }
+    let [near, far] = [0, 1].map(|link: usize| found.links[link].videos[0].flip);
+    assert!(near < far, "a longer way makes a video worse: {near}, {far}");
+}

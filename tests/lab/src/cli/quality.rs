@@ -1,0 +1,41 @@
+//! `shadecast-lab quality`.
+
+use super::run::{RunArgs, run_options};
+use super::write_json;
+use anyhow::ensure;
+use clap::Args;
+use shadecast_lab::experiments::quality::{self, VIDEOS, Video};
+
+#[derive(Args)]
+pub(super) struct QualityArgs {
+    /// Latencies of the links, milliseconds one way, each with a jitter of a half of it and at most 10 ms
+    #[arg(long, value_name = "MS", value_delimiter = ',', default_value = "5,20,50,110,200")]
+    latencies: Vec<f64>,
+    /// Pictures a second of the videos [default: 30,72]
+    #[arg(long, value_name = "HZ", value_delimiter = ',')]
+    video_rates: Vec<f64>,
+    /// Margins of the videos, degrees [default: 0,5,10,15 at 30 Hz, 0,5 at 72 Hz]
+    #[arg(long, value_name = "DEGREES", value_delimiter = ',')]
+    video_margins: Vec<f32>,
+    #[command(flatten)]
+    run: RunArgs,
+}
+
+pub(super) fn run(args: QualityArgs) -> anyhow::Result<()> {
+    let (scene, out) = (args.run.scene.clone(), args.run.out.clone());
+    let is_asked_for = |video: &Video| {
+        (args.video_rates.is_empty() || args.video_rates.contains(&video.rate_hz))
+            && (args.video_margins.is_empty() || args.video_margins.contains(&video.margin_degrees))
+    };
+    let videos: Vec<Video> = VIDEOS.into_iter().filter(is_asked_for).collect();
+    ensure!(
+        !videos.is_empty(),
+        "no video has these rates and margins; there are 0, 5, 10 and 15 degrees at 30 Hz, and 0 and 5 at 72 Hz"
+    );
+    let link = |latency: &f64| format!("latency={latency}ms,jitter={}ms", (latency / 2.0).min(10.0));
+    let links: Vec<String> = args.latencies.iter().map(link).collect();
+    let options = run_options(args.run)?;
+    let found = quality::measure(&options, &scene, &links, &videos)?;
+    print!("{found}");
+    write_json(&out.join("quality.json"), &found)
+}

@@ -1,0 +1,159 @@
+//! `shadecast-lab quality`: the atlas beside a video of both eyes, at the same bit rate over the same links.
+//!
+//! A video has free settings: pictures a second and a margin. All that are asked for are run; the one with the least FLIP counts.
+
+use super::run::run;
+use crate::report::text_table::table;
+use crate::session::options::{Renderer, RunOptions};
+use anyhow::Context;
+use serde::Serialize;
+use shadecast_transport::LinkProfile;
+use std::fmt;
+
+/// Settings of a video.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+pub struct Video {
+    /// Pictures a second.
+    pub rate_hz: f64,
+    /// What pictures show beyond each side of an eye's field of view, degrees.
+    pub margin_degrees: f32,
+}
+
+/// Those that are tried unless others are asked for.
+pub const VIDEOS: [Video; 6] = [
+    Video { rate_hz: 30.0, margin_degrees: 0.0 },
+    Video { rate_hz: 30.0, margin_degrees: 5.0 },
+    Video { rate_hz: 30.0, margin_degrees: 10.0 },
+    Video { rate_hz: 30.0, margin_degrees: 15.0 },
+    Video { rate_hz: 72.0, margin_degrees: 0.0 },
+    Video { rate_hz: 72.0, margin_degrees: 5.0 },
+];
+
+/// What a way showed over a link.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Row {
+    /// Its settings, where it is a video; the atlas otherwise.
+    pub video: Option<Video>,
+    /// What repeats the run.
+    pub command: String,
+    /// Bits that were sent, pictures and all else.
+    pub mbit_per_s: f64,
+    /// Mean quantiser.
+    pub qp: Option<f64>,
+    /// Mean over all compared views, 0..1.
+    pub flip: f64,
+    /// The worst view's.
+    pub flip_worst: f64,
+    /// At the display's own pixels per degree.
+    pub flip_at_view: f64,
+    /// Decibels, mean and of the worst view.
+    pub psnr_db: [f64; 2],
+    /// Mean.
+    pub ssim: f64,
+    /// Of what is animated, where there is enough of it.
+    pub animated_flip: Option<f64>,
+}
+
+/// All ways over a link.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct OverLink {
+    /// As a run takes it.
+    pub link: String,
+    /// The atlas.
+    pub ours: Row,
+    /// Videos, the least FLIP first.
+    pub videos: Vec<Row>,
+    /// FLIP of the atlas over that of the best video.
+    pub flip_ratio: f64,
+}
+
+/// A scene over all its links.
+#[derive(Clone, Debug, PartialEq, Serialize)]
+pub struct Quality {
+    /// As a person calls it.
+    pub scene: String,
+    /// By link, in the order that was asked for.
+    pub links: Vec<OverLink>,
+}
+
+/// Runs `options` as the atlas and as each of `videos` over each link. To be called where [`run`] may be.
+///
+/// # Errors
+/// A run fails, or compares nothing.
+pub fn measure(
+    options: &RunOptions,
+    scene: &str,
+    links: &[String],
+    videos: &[Video],
+) -> anyhow::Result<Quality> {
+    let over = |link: &String| -> anyhow::Result<OverLink> {
+        let profile: LinkProfile = link.parse()?;
+        let options = RunOptions { link: profile.into(), ..options.clone() };
+        let ours = row(&options, scene, link, None)?;
+        let mut videos = videos
+            .iter()
+            .map(|video| row(&options, scene, link, Some(*video)))
+            .collect::<anyhow::Result<Vec<_>>>()?;
+        videos.sort_by(|a, b| a.flip.total_cmp(&b.flip));
+        let best = videos.first().context("there is a video to compare with")?;
+        Ok(OverLink { link: link.clone(), flip_ratio: ours.flip / best.flip, ours, videos })
+    };
+    Ok(Quality { scene: scene.to_owned(), links: links.iter().map(over).collect::<anyhow::Result<_>>()? })
+}
+
+fn row(options: &RunOptions, scene: &str, link: &str, video: Option<Video>) -> anyhow::Result<Row> {
+    let mut options = RunOptions { renderer: Renderer::Stream, ..options.clone() };
+    if let Some(Video { rate_hz, margin_degrees }) = video {
+        let renderer = Renderer::Video;
+        options = RunOptions { renderer, rate_hz, video_margin_degrees: margin_degrees, ..options };
+    }
+    let report = run(&options)?;
+    let stats = report.stats;
+    let compared = || format!("{scene} over {link}: no view was compared");
+    Ok(Row {
+        video,
+        command: format!("{} --link {link}", options.command_line(scene)),
+        mbit_per_s: stats.mbit_per_s.atlas + stats.mbit_per_s.geometry,
+        qp: stats.mean_qp,
+        flip: stats.flip.with_context(compared)?,
+        flip_worst: report.looks.iter().filter_map(|look| look.flip).fold(0.0, f64::max),
+        flip_at_view: stats.flip_at_view.with_context(compared)?,
+        psnr_db: [stats.psnr_db.with_context(compared)?, stats.psnr_db_worst.with_context(compared)?],
+        ssim: stats.ssim.with_context(compared)?,
+        animated_flip: stats.animated.flip,
+    })
+}
+
+impl Row {
+    fn cells(&self) -> [String; 8] {
+        let name = match self.video {
+            Some(Video { rate_hz, margin_degrees }) => {
+                format!("video, {rate_hz:.0} Hz, {margin_degrees:.0} degrees")
+            }
+            None => "atlas".to_owned(),
+        };
+        [
+            name,
+            format!("{:.2}", self.mbit_per_s),
+            self.qp.map_or_else(|| "-".to_owned(), |qp| format!("{qp:.1}")),
+            format!("{:.4}", self.flip),
+            format!("{:.4}", self.flip_worst),
+            format!("{:.1}, {:.1} dB", self.psnr_db[0], self.psnr_db[1]),
+            format!("{:.4}", self.ssim),
+            self.animated_flip.map_or_else(|| "-".to_owned(), |flip| format!("{flip:.4}")),
+        ]
+    }
+}
+
+impl fmt::Display for Quality {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        const HEADS: [&str; 8] =
+            ["", "Mbit/s", "quantiser", "FLIP", "worst", "PSNR, worst", "SSIM", "FLIP of animated"];
+        for OverLink { link, ours, videos, flip_ratio } in &self.links {
+            writeln!(f, "{} over {link}: FLIP is {flip_ratio:.2} of the best video's", self.scene)?;
+            let rows = std::iter::once(ours).chain(videos).map(Row::cells);
+            writeln!(f, "{}", table(HEADS, rows))?;
+        }
+        Ok(())
+    }
+}
