@@ -65,13 +65,15 @@ fn both_ways_are_measured_alike_and_again_alike() {
     let out = tempfile::tempdir().unwrap();
     let options = RunOptions {
         scene: SceneSource::Dragons(1),
-        ..small(out.path(), "stride", QualityOptions::Bitrate(2.0))
+        extent_pixels: [96, 96],
+        ..small(out.path(), "stride", QualityOptions::Bitrate(1.0))
     };
     let links = ["latency=20ms,jitter=10ms", "latency=110ms,jitter=10ms"].map(str::to_owned);
     let videos = [0.0, 10.0].map(|margin_degrees| Video { rate_hz: 30.0, margin_degrees });
-    let [found, again] = [(); 2].map(|()| quality::measure(&options, "dragons:1", &links, &videos).unwrap());
+    let measure = |links: &[String]| quality::measure(&options, "dragons:1", links, &videos).unwrap();
+    let (found, again) = (measure(&links), measure(&links[..1]));
     print!("{found}");
-    assert_eq!(found, again);
+    assert_eq!(found.links[..1], again.links);
     for over in &found.links {
         assert_eq!(over.videos.len(), 2);
         assert!(over.videos[0].flip <= over.videos[1].flip, "the best counts");

@@ -78,7 +78,7 @@ impl Comparer {
 
     /// What an eye should see at a time.
     pub fn picture(&mut self, world_from_eye: Pose, fov: Fov, time: WorldTime) -> anyhow::Result<Rgb8Image> {
-        Ok(self.render(world_from_eye, fov, time)?.0)
+        Ok(self.render_places(world_from_eye, fov, time)?.0)
     }
 
     /// The truth's picture and what it says of the shown one.
@@ -136,22 +136,34 @@ impl Comparer {
         fov: Fov,
         time: WorldTime,
     ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
-        let Self { forward, middle, truth, places, .. } = self;
-        let mut render = |renderer: &mut Forward| {
-            renderer.render_posed(world_from_eye, fov, time, truth.posed(time)).map_err(anyhow::Error::from)
-        };
-        let Truth { extent_pixels, rgb8, instance, distance_m } = render(forward)?;
-        let [width, height] = extent_pixels.map(|side| side / *places);
-        let picture = Rgb8Image::new(width, height, mean_of_places(extent_pixels, rgb8, *places))?;
+        let (picture, probe) = self.render_places(world_from_eye, fov, time)?;
         // What is where is that of a pixel's middle, whatever colour it has.
-        let (instance, depth_m) = match middle {
-            None => (instance, distance_m),
+        let (instance, depth_m) = match &mut self.middle {
+            None => probe,
             Some(middle) => {
-                let Truth { instance, distance_m, .. } = render(middle)?;
+                let posed = self.truth.posed(time);
+                let Truth { instance, distance_m, .. } =
+                    middle.render_posed(world_from_eye, fov, time, posed)?;
                 (instance, distance_m)
             }
         };
+        let Rgb8Image { width, height, .. } = picture;
         Ok((picture, ProbeView { width, height, instance, depth_m }))
+    }
+
+    /// The picture, and by place which instance is there and how far away.
+    fn render_places(
+        &mut self,
+        world_from_eye: Pose,
+        fov: Fov,
+        time: WorldTime,
+    ) -> anyhow::Result<(Rgb8Image, (Vec<u32>, Vec<f32>))> {
+        let posed = self.truth.posed(time);
+        let Truth { extent_pixels, rgb8, instance, distance_m } =
+            self.forward.render_posed(world_from_eye, fov, time, posed)?;
+        let [width, height] = extent_pixels.map(|side| side / self.places);
+        let picture = Rgb8Image::new(width, height, mean_of_places(extent_pixels, rgb8, self.places))?;
+        Ok((picture, (instance, distance_m)))
     }
 }
 
