@@ -137,34 +137,31 @@ impl Comparer {
         time: WorldTime,
     ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
         let (picture, probe) = self.render_places(world_from_eye, fov, time)?;
+        let Some(middle) = &mut self.middle else { return Ok((picture, probe)) };
         // What is where is that of a pixel's middle, whatever colour it has.
-        let (instance, depth_m) = match &mut self.middle {
-            None => probe,
-            Some(middle) => {
-                let posed = self.truth.posed(time);
-                let Truth { instance, distance_m, .. } =
-                    middle.render_posed(world_from_eye, fov, time, posed)?;
-                (instance, distance_m)
-            }
-        };
-        let Rgb8Image { width, height, .. } = picture;
-        Ok((picture, ProbeView { width, height, instance, depth_m }))
+        let posed = self.truth.posed(time);
+        let truth = middle.render_posed(world_from_eye, fov, time, posed)?;
+        Ok((picture, probe_of(truth.extent_pixels, truth.instance, truth.distance_m)))
     }
 
-    /// The picture, and by place which instance is there and how far away.
+    /// The picture, and what is where by place.
     fn render_places(
         &mut self,
         world_from_eye: Pose,
         fov: Fov,
         time: WorldTime,
-    ) -> anyhow::Result<(Rgb8Image, (Vec<u32>, Vec<f32>))> {
+    ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
         let posed = self.truth.posed(time);
         let Truth { extent_pixels, rgb8, instance, distance_m } =
             self.forward.render_posed(world_from_eye, fov, time, posed)?;
         let [width, height] = extent_pixels.map(|side| side / self.places);
         let picture = Rgb8Image::new(width, height, mean_of_places(extent_pixels, rgb8, self.places))?;
-        Ok((picture, (instance, distance_m)))
+        Ok((picture, probe_of(extent_pixels, instance, distance_m)))
     }
+}
+
+fn probe_of([width, height]: [u32; 2], instance: Vec<u32>, depth_m: Vec<f32>) -> ProbeView {
+    ProbeView { width, height, instance, depth_m }
 }
 
 /// By pixel the mean light of `places` x `places` pixels of a picture.
