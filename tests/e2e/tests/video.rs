@@ -48,6 +48,22 @@ fn a_still_head_sees_the_truth_and_a_turning_one_nearly() {
     assert_eq!(still.hole_fraction, Some(0.0), "a video has no holes");
 }
 
+/// What moves is rendered for when it is seen, however long the way is.
+#[test]
+fn a_still_head_sees_what_moves_alike_over_a_short_and_a_long_way() {
+    let _turn = turn();
+    let out = tempfile::tempdir().unwrap();
+    let [near, far] = ["latency=5ms", "latency=110ms"].map(|link| {
+        let link: LinkProfile = link.parse().expect("a link");
+        let fine = small(out.path(), "still", QualityOptions::Constant(16));
+        let scene = SceneSource::Dragons(1);
+        let compare_every = 5; // each moment of a picture's time on display
+        stats(&RunOptions { link: link.into(), scene, compare_every, seconds: 1.6, compare_from: 72, ..fine })
+    });
+    let [near_flip, far_flip] = [&near, &far].map(|stats| stats.animated.flip.expect("a dragon is seen"));
+    assert!((far_flip / near_flip - 1.0).abs() < 0.2, "{near_flip}, {far_flip}");
+}
+
 #[test]
 fn a_video_takes_the_bits_that_it_may() {
     let _turn = turn();

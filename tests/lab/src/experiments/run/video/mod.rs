@@ -67,6 +67,7 @@ pub(super) fn run(options: &RunOptions, config: &MockConfig) -> anyhow::Result<R
         server,
         walk,
         pictures: BTreeMap::new(),
+        begun_ns: BTreeMap::new(),
         leaving: VecDeque::new(),
         next_ns: START_NS,
         number: 0,
@@ -144,7 +145,6 @@ impl Sent {
 
 /// A picture of both eyes from its begin to the end of its display.
 struct Picture {
-    begun_ns: i64,
     /// What the client decodes of it.
     eyes: [Decoded; 2],
     /// When that is done.
@@ -160,6 +160,8 @@ struct Show<'a> {
     wire: Wire,
     /// By number; those before the one on display are gone.
     pictures: BTreeMap<u64, Picture>,
+    /// When pictures were begun that no report has told of: reports come when pictures are long gone.
+    begun_ns: BTreeMap<u64, i64>,
     /// Coded pictures, and when they leave.
     leaving: VecDeque<(i64, Vec<u8>)>,
     /// When the next picture begins, and its number.
@@ -232,11 +234,12 @@ impl Show<'_> {
         if self.head.is_none_or(|head| head.time < state.time) {
             self.head = Some(state);
         }
-        if let Some(picture) = word(1).checked_sub(1).and_then(|number| self.pictures.get(&number)) {
+        if let Some(begun_ns) = word(1).checked_sub(1).and_then(|number| self.begun_ns.remove(&number)) {
+            self.begun_ns.retain(|_, at_ns| *at_ns > begun_ns);
             if self.delays_ns.len() == DELAYS {
                 self.delays_ns.pop_front();
             }
-            self.delays_ns.push_back(self.display_ns(frame) - picture.begun_ns);
+            self.delays_ns.push_back(self.display_ns(frame) - begun_ns);
         }
     }
 
@@ -270,7 +273,8 @@ impl Show<'_> {
         self.sent.qp_sum += u64::from(qp);
         let stages = self.options.stages;
         self.leaving.push_back((begun_ns + stages.ns(stages.server) + stages.ns(stages.encode), bytes));
-        self.pictures.insert(number, Picture { begun_ns, eyes, ready_ns: None });
+        self.pictures.insert(number, Picture { eyes, ready_ns: None });
+        self.begun_ns.insert(number, begun_ns);
         Ok(())
     }
 
