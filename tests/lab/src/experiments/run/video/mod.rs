@@ -11,6 +11,7 @@ mod warp;
 use super::{Look, Report, comparer, progress, write_pictures};
 use crate::image::Rgb8Image;
 use crate::measure::compare::{Comparer, Shown};
+use crate::measure::percentiles::median;
 use crate::report::stats::{Counted, MbitPerS, Summary};
 use crate::session::options::RunOptions;
 use crate::session::walk::Walk;
@@ -220,12 +221,13 @@ impl Show<'_> {
     fn hear_head(&mut self, bytes: &[u8]) {
         let word = |at: usize| bytes[8 * at..][..8].try_into().map(u64::from_le_bytes).expect("eight bytes");
         let frame = word(0);
-        let begin_ns = period_begin_ns(START_NS, self.options.refresh_hz, frame);
-        let [linear_velocity, angular_velocity] = self.walk.velocities(begin_ns);
+        // As the atlas's client tells it: where the head will be when the frame is seen.
+        let seen_ns = self.display_ns(frame);
+        let [linear_velocity, angular_velocity] = self.walk.velocities(seen_ns);
         let state = HeadState {
             sequence: frame as u32,
-            time: ServerTime(begin_ns - SERVER_EPOCH_NS),
-            world_from_head: self.walk.world_from_head(begin_ns),
+            time: ServerTime(seen_ns - SERVER_EPOCH_NS),
+            world_from_head: self.walk.world_from_head(seen_ns),
             linear_velocity,
             angular_velocity,
             eyes: self.walk.eyes(),
@@ -253,9 +255,10 @@ impl Show<'_> {
         let begun_ns = self.next_ns;
         self.next_ns += (1e9 / self.options.rate_hz) as i64;
         let Some(head) = self.head else { return Ok(()) };
-        let mut delays: Vec<i64> = self.delays_ns.iter().copied().collect();
-        delays.sort_unstable();
-        let first_ns = delays.get(delays.len() / 2).copied().unwrap_or(FIRST_DELAY_NS);
+        let first_ns = match self.delays_ns.is_empty() {
+            true => FIRST_DELAY_NS,
+            false => median(self.delays_ns.iter().map(|delay_ns| *delay_ns as f64)) as i64,
+        };
         let on_display_ns = 1e9 / self.options.rate_hz - 1e9 / self.options.refresh_hz;
         let seen_ns = begun_ns + first_ns + (0.5 * on_display_ns.max(0.0)) as i64;
         let world_from_head = extrapolate(&head, ServerTime(seen_ns - SERVER_EPOCH_NS));
