@@ -1,7 +1,7 @@
 //! How finely one client's pictures are quantised. Pure: sizes and times of what was made come in, the next quantiser comes out.
 //!
 //! Quantisation of fine texture is what costs most of a picture's quality, and its bits are known only when they are there. So each
-//! picture says how the next is coded: coarser at once where it was too large or took too long, a step finer where there is room. A
+//! picture says how the next is coded: coarser at once where it was too large or took too long, finer at once where it left room. A
 //! picture in which nothing moves takes no bits, so that what stands still gets finer with each update until it is as good as it
 //! gets; an encoder takes nothing back when a later picture is coded more coarsely. Pictures have what geometry and motion leave; what all of
 //! them took too much, or left, the next second's make good.
@@ -31,11 +31,15 @@ const NEXT_QP: u8 = 17;
 const COARSEST_QP: u8 = 34;
 /// Bits of the same picture double from one quantiser to the one this far below.
 const QP_OF_TWICE_THE_BITS: f64 = 6.0;
-/// A picture that takes less than this part of what it may is followed by a finer one: a step takes an eighth more bits, and
-/// pictures differ.
-const ROOM: f64 = 0.75;
-/// The same before the finest, which takes 1.6 times the bits of the next.
-const ROOM_FOR_FINEST: f64 = 0.45;
+/// A picture that takes less than this part of what it may is followed by one so much finer that it would take this part: a step takes
+/// an eighth more bits, and pictures differ.
+const ROOM: f64 = 0.9;
+/// The same before the finest, which takes 1.6 times the bits of the next: so that it lasts where what was left of the last seconds is
+/// spent.
+const ROOM_FOR_FINEST: f64 = 0.5;
+/// No picture is finer than the one before by more, which is 2.8 times the bits: one in which little moves would be followed by a
+/// burst.
+const MOST_FINER: u8 = 9;
 /// Of the time from one update to the next an encoder may take this part; one that takes longer is given nothing finer than
 /// [`DEFAULT_QP`].
 const ENCODER_SHARE: f64 = 0.8;
@@ -207,7 +211,7 @@ impl Quality {
         let used = picture.stream_bytes as f64 / self.picture_bytes(bytes_s);
         self.balance(-(picture.stream_bytes as f64), bytes_s);
         let qp = match used {
-            used if used > 1.0 => self.qp.saturating_add((QP_OF_TWICE_THE_BITS * used.log2()).ceil() as u8),
+            used if used > 1.0 => self.qp.saturating_add(quantisers_between(1.0, used).ceil() as u8),
             _ if is_slow && self.qp <= DEFAULT_QP => (self.qp + 1).min(DEFAULT_QP),
             used if self.qp == NEXT_QP => {
                 if used < ROOM_FOR_FINEST {
@@ -216,7 +220,7 @@ impl Quality {
                     NEXT_QP
                 }
             }
-            used if used < ROOM => self.qp - 1,
+            used if used < ROOM => self.qp - (quantisers_between(used, ROOM) as u8).clamp(1, MOST_FINER),
             _ => self.qp,
         };
         self.qp = if qp <= FINEST_QP { FINEST_QP } else { qp.clamp(NEXT_QP, COARSEST_QP) };
@@ -248,6 +252,11 @@ impl Quality {
         };
         self.link_bytes_s.map_or(1.0, |link| (bytes_s(asked_mbit_s) / link).max(1.0))
     }
+}
+
+/// How many quantisers finer a picture is that takes `more` bits instead of `fewer`.
+fn quantisers_between(fewer: f64, more: f64) -> f64 {
+    QP_OF_TWICE_THE_BITS * (more / fewer).log2()
 }
 
 #[cfg(test)]

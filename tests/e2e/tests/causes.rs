@@ -8,6 +8,7 @@ use shadecast_lab::session::options::{Renderer, RunOptions, Spared};
 use shadecast_lab::session::originals::Arrival;
 use shadecast_protocol::atlas::AtlasExtent;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::pacing::quality::{DEFAULT_QP, QualityOptions};
 use shadecast_server::pacing::relief::{Measure, Measures};
 use shadecast_server::shading::filter::Filter;
 use shadecast_server::update::policy::UpdatePolicy;
@@ -31,7 +32,10 @@ fn each_removed_cause_improves_the_picture_worst_first() {
     let _turn = turn();
     let out = tempfile::tempdir().unwrap();
     let causes = [Cause::Density, Cause::ShadowTime, Cause::Outlines, Cause::Quantisation];
-    let found = measure(&small(SceneSource::Dragons(1), out.path()), "dragon", &causes).unwrap();
+    // One quantiser for all: what a cause leaves must not be what its bits bought.
+    let quality = QualityOptions::Constant(DEFAULT_QP);
+    let options = RunOptions { quality, ..small(SceneSource::Dragons(1), out.path()) };
+    let found = measure(&options, "dragon", &causes).unwrap();
     println!("{found}");
     assert_eq!((found.rows.len(), found.shipped.len(), found.views), (3 * causes.len(), 3, 6));
     let of = |cause: Cause, mask: Mask| -> Row {
