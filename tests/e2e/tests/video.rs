@@ -85,7 +85,11 @@ fn both_ways_are_measured_alike_and_again_alike() {
         ..small(out.path(), "stride", QualityOptions::Bitrate(1.0))
     };
     let links = ["latency=20ms,jitter=10ms", "latency=110ms,jitter=10ms"].map(str::to_owned);
-    let videos = [0.0, 10.0].map(|margin_degrees| Video { rate_hz: 30.0, margin_degrees });
+    let videos = [0.0, 10.0].map(|margin_degrees| Video {
+        rate_hz: 30.0,
+        margin_degrees,
+        has_depth: margin_degrees > 0.0,
+    });
     let measure = |links: &[String]| quality::measure(&options, "dragons:1", links, &videos).unwrap();
     let (found, again) = (measure(&links), measure(&links[..1]));
     print!("{found}");

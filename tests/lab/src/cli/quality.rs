@@ -17,6 +17,9 @@ pub(super) struct QualityArgs {
     /// Margins of the videos, degrees [default: 0,5,10,15 at 30 Hz, 0,5 at 72 Hz]
     #[arg(long, value_name = "DEGREES", value_delimiter = ',')]
     video_margins: Vec<f32>,
+    /// Videos with or without depth [default: both]
+    #[arg(long, value_name = "WHETHER")]
+    video_depths: Option<bool>,
     #[command(flatten)]
     run: RunArgs,
 }
@@ -26,6 +29,7 @@ pub(super) fn run(args: QualityArgs) -> anyhow::Result<()> {
     let is_asked_for = |video: &Video| {
         (args.video_rates.is_empty() || args.video_rates.contains(&video.rate_hz))
             && (args.video_margins.is_empty() || args.video_margins.contains(&video.margin_degrees))
+            && args.video_depths.is_none_or(|has_depth| has_depth == video.has_depth)
     };
     let videos: Vec<Video> = VIDEOS.into_iter().filter(is_asked_for).collect();
     ensure!(

@@ -97,6 +97,9 @@ pub(super) struct RunArgs {
     /// Of --renderer video: degrees that pictures show beyond each side of an eye's field of view
     #[arg(long, value_name = "DEGREES", default_value_t = 10.0, value_parser = number(0.0_f32..=30.0, "degrees"))]
     video_margin: f32,
+    /// Of --renderer video: pictures have depth, by which they are shown to a head that moved
+    #[arg(long)]
+    video_depth: bool,
     /// Pages that the client offers to keep for blocks that do not change, of 2048x2048 texels; 0: none
     #[arg(long, value_name = "N", default_value_t = USUAL_STORE_PAGES, value_parser = value_parser!(u32).range(0..=i64::from(MAX_STORE_PAGES)))]
     store_pages: u32,
@@ -183,6 +186,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         store_pages: args.store_pages,
         blends: !args.no_blend,
         video_margin_degrees: args.video_margin,
+        video_has_depth: args.video_depth,
         seed: args.seed,
         dump_every: args.dump_every,
         compare_every: args.compare_every,

@@ -1,6 +1,6 @@
 //! `shadecast-lab quality`: the atlas beside a video of both eyes, at the same bit rate over the same links.
 //!
-//! A video has free settings: pictures a second and a margin. All that are asked for are run; the one with the least FLIP counts.
+//! A video has free settings: pictures a second, a margin, and whether it has depth. All that are asked for are run; the one with the least FLIP counts.
 
 use super::run::run;
 use crate::report::text_table::table;
@@ -17,16 +17,30 @@ pub struct Video {
     pub rate_hz: f64,
     /// What pictures show beyond each side of an eye's field of view, degrees.
     pub margin_degrees: f32,
+    /// Pictures have depth, by which they are shown to a head that moved.
+    pub has_depth: bool,
+}
+
+impl Video {
+    const fn new(rate_hz: f64, margin_degrees: f32, has_depth: bool) -> Self {
+        Self { rate_hz, margin_degrees, has_depth }
+    }
 }
 
 /// Those that are tried unless others are asked for.
-pub const VIDEOS: [Video; 6] = [
-    Video { rate_hz: 30.0, margin_degrees: 0.0 },
-    Video { rate_hz: 30.0, margin_degrees: 5.0 },
-    Video { rate_hz: 30.0, margin_degrees: 10.0 },
-    Video { rate_hz: 30.0, margin_degrees: 15.0 },
-    Video { rate_hz: 72.0, margin_degrees: 0.0 },
-    Video { rate_hz: 72.0, margin_degrees: 5.0 },
+pub const VIDEOS: [Video; 12] = [
+    Video::new(30.0, 0.0, false),
+    Video::new(30.0, 5.0, false),
+    Video::new(30.0, 10.0, false),
+    Video::new(30.0, 15.0, false),
+    Video::new(72.0, 0.0, false),
+    Video::new(72.0, 5.0, false),
+    Video::new(30.0, 0.0, true),
+    Video::new(30.0, 5.0, true),
+    Video::new(30.0, 10.0, true),
+    Video::new(30.0, 15.0, true),
+    Video::new(72.0, 0.0, true),
+    Video::new(72.0, 5.0, true),
 ];
 
 /// What a way showed over a link.
@@ -103,9 +117,14 @@ pub fn measure(
 
 fn row(options: &RunOptions, scene: &str, link: &str, video: Option<Video>) -> anyhow::Result<Row> {
     let mut options = RunOptions { renderer: Renderer::Stream, ..options.clone() };
-    if let Some(Video { rate_hz, margin_degrees }) = video {
-        let renderer = Renderer::Video;
-        options = RunOptions { renderer, rate_hz, video_margin_degrees: margin_degrees, ..options };
+    if let Some(Video { rate_hz, margin_degrees, has_depth }) = video {
+        options = RunOptions {
+            renderer: Renderer::Video,
+            rate_hz,
+            video_margin_degrees: margin_degrees,
+            video_has_depth: has_depth,
+            ..options
+        };
     }
     let report = run(&options)?;
     let stats = report.stats;
@@ -127,8 +146,9 @@ fn row(options: &RunOptions, scene: &str, link: &str, video: Option<Video>) -> a
 impl Row {
     fn cells(&self) -> [String; 8] {
         let name = match self.video {
-            Some(Video { rate_hz, margin_degrees }) => {
-                format!("video, {rate_hz:.0} Hz, {margin_degrees:.0} degrees")
+            Some(Video { rate_hz, margin_degrees, has_depth }) => {
+                let depth = if has_depth { ", depth" } else { "" };
+                format!("video, {rate_hz:.0} Hz, {margin_degrees:.0} degrees{depth}")
             }
             None => "atlas".to_owned(),
         };

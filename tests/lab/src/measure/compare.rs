@@ -81,6 +81,16 @@ impl Comparer {
         Ok(self.render_places(world_from_eye, fov, time)?.0)
     }
 
+    /// The same, and what is where by place of a pixel.
+    pub fn seen(
+        &mut self,
+        world_from_eye: Pose,
+        fov: Fov,
+        time: WorldTime,
+    ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
+        self.render_places(world_from_eye, fov, time)
+    }
+
     /// The truth's picture and what it says of the shown one.
     pub fn measure(&mut self, shown: &Shown<'_>) -> anyhow::Result<(Rgb8Image, FrameMetrics)> {
         self.measured(shown, false)

@@ -275,6 +275,8 @@ pub struct RunOptions {
     pub blends: bool,
     /// What a video shows beyond each side of an eye's field of view, degrees.
     pub video_margin_degrees: f32,
+    /// A video's pictures have depth, by which they are shown to a head that moved.
+    pub video_has_depth: bool,
     /// Texels that an update may shade again; all where it is `None`.
     pub shade_texels: Option<u64>,
     /// Updates per second.
@@ -325,6 +327,7 @@ impl RunOptions {
             store_pages: USUAL_STORE_PAGES,
             blends: true,
             video_margin_degrees: 10.0,
+            video_has_depth: false,
             shade_texels: None,
             rate_hz: 30.0,
             refresh_hz: 72.0,
@@ -393,6 +396,7 @@ impl RunOptions {
         }
         if self.renderer == Renderer::Video {
             line += &format!(" --rate {} --video-margin {}", self.rate_hz, self.video_margin_degrees);
+            line += if self.video_has_depth { " --video-depth" } else { "" };
         }
         if self.store_pages != usual.store_pages {
             line += &format!(" --store-pages {}", self.store_pages);

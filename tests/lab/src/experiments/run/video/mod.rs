@@ -1,10 +1,11 @@
 //! `shadecast-lab run --renderer video`: what a video of both eyes shows at the same rate over the same link.
 //!
 //! The server renders what both eyes are expected to see, by the truth's renderer, wider by a margin, and encodes it. The client turns the
-//! newest picture to where the head looks now (rotational time-warp). Head, link, durations of stages, prediction and encoder are those of
+//! newest picture to where the head looks now (rotational time-warp); with depth, also to where it is (positional time-warp). Head, link, durations of stages, prediction and encoder are those of
 //! the other renderers. In favour of video: clocks agree, each picture has the light of several places of a pixel, the encoder has its loop filter,
 //! and its quantiser follows the rate closely. Pictures that the link cannot carry queue up: the rate must fit the link.
 
+mod depth;
 mod rate;
 mod warp;
 
@@ -17,6 +18,7 @@ use crate::session::options::RunOptions;
 use crate::session::walk::Walk;
 use crate::session::{SERVER_EPOCH_NS, START_NS, Server};
 use anyhow::{Context, bail, ensure};
+use depth::Depth;
 use rate::Rate;
 use shadecast_client::decode::openh264::OpenH264Decoder;
 use shadecast_client::decode::{Decoder, Picture as Arrived};
@@ -29,7 +31,7 @@ use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, MAX_VIEW_ANGLE, Pose};
 use shadecast_protocol::time::{ServerTime, WorldTime};
 use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
-use shadecast_server::encode::{Encoder, Source, encode_one};
+use shadecast_server::encode::{AccessUnit, Encoder, Source, encode_one};
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::visibility::predict::extrapolate;
 use shadecast_shaders::twin::ycbcr;
@@ -42,8 +44,10 @@ use warp::Decoded;
 
 /// Places a side of a pixel of the pictures that are sent, where the truth has more than one.
 const MOST_PLACES: u32 = 2;
-/// H.264 has sides of whole macroblocks.
+/// H.264 has sides of whole macroblocks, pixels.
 const MACROBLOCK: u32 = 16;
+/// Depth is coded as finely as colours, and no more coarsely than this: what is nearly flat takes few bits.
+const COARSEST_DEPTH_QP: u8 = 28;
 /// From a picture's begin to its first display, until the first is reported.
 const FIRST_DELAY_NS: i64 = 80_000_000;
 /// Reports whose median is the next delay.
@@ -311,7 +315,7 @@ impl Show<'_> {
         let (mut clients, mut truths) = (Vec::new(), Vec::new());
         for (eye, decoded) in self.walk.eyes().iter().zip(&self.pictures[&number].eyes) {
             let world_from_eye = world_from_head.then(eye.head_from_eye);
-            let picture = decoded.warped(world_from_eye.orientation, eye.fov, self.options.extent_pixels);
+            let picture = decoded.warped(world_from_eye, eye.fov, self.options.extent_pixels);
             let time = self.server.world_time(display_ns);
             let shown = Shown { world_from_eye, fov: eye.fov, time, picture: &picture, probe: None };
             let (truth, metrics) = comparer.measure_whole(&shown)?;
@@ -327,7 +331,9 @@ impl Show<'_> {
 /// Renders and encodes; decodes too, since nothing that leaves is lost.
 struct Studio {
     renderer: Comparer,
-    coders: [(OpenH264Encoder, OpenH264Decoder); 2],
+    eyes: [Coder; 2],
+    /// Of depth, where it is sent.
+    depths: Option<[Coder; 2]>,
     rate: Rate,
     keeps_qp: bool,
     fov: Fov,
@@ -339,9 +345,10 @@ impl Studio {
         let wide = fov.widened(options.video_margin_degrees.to_radians(), MAX_VIEW_ANGLE);
         // As many pixels to a tangent as the display has.
         let part = [wide.right.tan() / fov.right.tan(), wide.up.tan() / fov.up.tan()];
+        let unit = if options.video_has_depth { depth::PIXELS * MACROBLOCK } else { MACROBLOCK };
         let side = |axis: usize| {
             let pixels = (options.extent_pixels[axis] as f32 * part[axis]).ceil() as u32;
-            pixels.next_multiple_of(MACROBLOCK)
+            pixels.next_multiple_of(unit)
         };
         let extent = [side(0), side(1)];
         let quality = options.quality;
@@ -350,22 +357,22 @@ impl Studio {
             QualityOptions::Constant(_) => (1.0, true),
             QualityOptions::Auto => bail!("--renderer video needs --bitrate with a number, or --qp"),
         };
-        let settings = EncoderSettings {
-            qp: quality.first_qp(),
-            fps: options.rate_hz.round().clamp(1.0, 60.0) as u32,
-            threads: 1,
-            loop_filter: true,
-            extent_texels: extent,
+        let coder = |extent_texels: [u32; 2]| {
+            Coder::new(EncoderSettings {
+                qp: quality.first_qp(),
+                fps: options.rate_hz.round().clamp(1.0, 60.0) as u32,
+                threads: 1,
+                loop_filter: true,
+                extent_texels,
+            })
         };
-        let coder = || {
-            let problem = || format!("a video of {}x{} pixels an eye", extent[0], extent[1]);
-            let encoder = OpenH264Encoder::new(settings).with_context(problem)?;
-            anyhow::Ok((encoder, OpenH264Decoder::new(extent).with_context(problem)?))
-        };
+        let depth_extent = extent.map(|side| side / depth::PIXELS);
+        let depths = || anyhow::Ok([coder(depth_extent)?, coder(depth_extent)?]);
         let places = options.truth_places.min(MOST_PLACES);
         Ok(Self {
             renderer: Comparer::with_places(&server.gpu, &server.scene, extent, places)?,
-            coders: [coder()?, coder()?],
+            eyes: [coder(extent)?, coder(extent)?],
+            depths: options.video_has_depth.then(depths).transpose()?,
             rate: Rate::new(mbit_per_s, options.rate_hz, quality.first_qp()),
             keeps_qp,
             fov: wide,
@@ -380,22 +387,55 @@ impl Studio {
         at_ns: i64,
     ) -> anyhow::Result<([Decoded; 2], [Vec<u8>; 2])> {
         let (mut eyes, mut coded, mut is_refresh) = (Vec::new(), Vec::new(), false);
-        for ((encoder, decoder), world_from_eye) in self.coders.iter_mut().zip(world_from_eyes) {
-            let picture = self.renderer.picture(world_from_eye, self.fov, time)?;
-            encoder.set_qp(self.rate.qp())?;
-            let unit = encode_one(encoder, Source::Planes(planes(&picture)), at_ns, false)?;
-            decoder.submit(&unit.bytes);
-            let decoded = decoder.poll(Duration::ZERO).context("the decoder answers at once")??;
-            let Arrived::Planes(decoded) = decoded else { bail!("the decoder gives planes") };
-            eyes.push(Decoded::new(&decoded, world_from_eye.orientation, self.fov));
+        let qp = self.rate.qp();
+        for (eye, world_from_eye) in world_from_eyes.into_iter().enumerate() {
+            let (picture, probe) = self.renderer.seen(world_from_eye, self.fov, time)?;
+            let (unit, decoded) = self.eyes[eye].code(planes(&picture), qp, at_ns)?;
             is_refresh |= unit.is_refresh;
-            coded.push(unit.bytes);
+            let mut bytes = unit.bytes;
+            let depth = match &mut self.depths {
+                Some(coders) => {
+                    let planes = depth::coded(&probe, [picture.width, picture.height])?;
+                    let (unit, decoded) = coders[eye].code(planes, qp.min(COARSEST_DEPTH_QP), at_ns)?;
+                    bytes.extend(unit.bytes);
+                    Some(Depth::new(&decoded))
+                }
+                None => None,
+            };
+            eyes.push(Decoded::new(&decoded, depth, world_from_eye, self.fov));
+            coded.push(bytes);
         }
         if !self.keeps_qp {
             self.rate.note(coded.iter().map(Vec::len).sum::<usize>() + HEADER_BYTES, is_refresh);
         }
         let eyes = eyes.try_into().ok().context("two eyes")?;
         Ok((eyes, coded.try_into().ok().context("two eyes")?))
+    }
+}
+
+/// Encodes a stream, and decodes it as the client does.
+struct Coder {
+    encoder: OpenH264Encoder,
+    decoder: OpenH264Decoder,
+}
+
+impl Coder {
+    fn new(settings: EncoderSettings) -> anyhow::Result<Self> {
+        let [width, height] = settings.extent_texels;
+        let problem = || format!("a video of {width}x{height} pixels an eye");
+        Ok(Self {
+            encoder: OpenH264Encoder::new(settings).with_context(problem)?,
+            decoder: OpenH264Decoder::new(settings.extent_texels).with_context(problem)?,
+        })
+    }
+
+    fn code(&mut self, planes: I420, qp: u8, at_ns: i64) -> anyhow::Result<(AccessUnit, I420)> {
+        self.encoder.set_qp(qp)?;
+        let unit = encode_one(&mut self.encoder, Source::Planes(planes), at_ns, false)?;
+        self.decoder.submit(&unit.bytes);
+        let decoded = self.decoder.poll(Duration::ZERO).context("the decoder answers at once")??;
+        let Arrived::Planes(decoded) = decoded else { bail!("the decoder gives planes") };
+        Ok((unit, decoded))
     }
 }
 

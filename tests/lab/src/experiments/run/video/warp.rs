@@ -1,9 +1,10 @@
-//! Rotational time-warp: a decoded picture as another head sees it that only turned since. Pure.
+//! Time-warp: a decoded picture as another head sees it that turned since, and where there is depth also moved. Pure.
 
+use super::depth::{Change, Depth};
 use crate::image::Rgb8Image;
-use glam::{Mat3, Quat, Vec2, Vec3};
+use glam::{Mat3, Vec2, Vec3};
 use shadecast_protocol::picture::I420;
-use shadecast_protocol::pose::Fov;
+use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_shaders::color::rgb_from_ycbcr;
 use shadecast_shaders::twin::atlas_lookup::Plane;
 
@@ -12,15 +13,16 @@ pub(super) struct Decoded {
     luma: Plane,
     chroma: [Plane; 2],
     extent_pixels: Vec2,
-    /// Which way the eye looked.
-    pub world_from_eye: Quat,
+    depth: Option<Depth>,
+    /// Where the eye was.
+    world_from_eye: Pose,
     /// What it saw.
-    pub fov: Fov,
+    fov: Fov,
 }
 
 impl Decoded {
-    /// Of a picture with an eye's orientation and field of view.
-    pub(super) fn new(picture: &I420, world_from_eye: Quat, fov: Fov) -> Self {
+    /// Of a picture with an eye's pose and field of view.
+    pub(super) fn new(picture: &I420, depth: Option<Depth>, world_from_eye: Pose, fov: Fov) -> Self {
         let [width, height] = picture.extent_texels();
         let plane = |values: &[u8], width: u32| Plane {
             width: width as usize,
@@ -31,18 +33,26 @@ impl Decoded {
             luma: plane(luma, width),
             chroma: [plane(cb, width / 2), plane(cr, width / 2)],
             extent_pixels: Vec2::new(width as f32, height as f32),
+            depth,
             world_from_eye,
             fov,
         }
     }
 
-    /// What an eye that looks elsewhere sees of it. Beyond its border it goes on as the border is.
-    pub(super) fn warped(&self, world_from_eye: Quat, fov: Fov, extent_pixels: [u32; 2]) -> Rgb8Image {
-        let then_from_now = Mat3::from_quat(self.world_from_eye.inverse() * world_from_eye);
+    /// What an eye elsewhere sees of it. Beyond its border it goes on as the border is.
+    pub(super) fn warped(&self, world_from_eye: Pose, fov: Fov, extent_pixels: [u32; 2]) -> Rgb8Image {
+        let now_from_then = world_from_eye.inverse().then(self.world_from_eye);
+        let change = Change { now_from_then, fov_then: self.fov, fov_now: fov, extent_pixels };
+        let sources = self.depth.as_ref().map(|depth| depth.sources(change));
+        let then_from_now = Mat3::from_quat(now_from_then.orientation.inverse());
         let (low, high) = tangents(fov);
         let (low_then, high_then) = tangents(self.fov);
         let extent = Vec2::from(extent_pixels.map(|side| side as f32));
         let pixel = |x: u32, y: u32| {
+            let at = (y * extent_pixels[0] + x) as usize;
+            if let Some(source) = sources.as_ref().and_then(|sources| sources[at]) {
+                return self.rgb8(source * self.extent_pixels);
+            }
             let part = (Vec2::new(x as f32, y as f32) + 0.5) / extent;
             let tangent = low + part * (high - low);
             let then = then_from_now * Vec3::new(tangent.x, -tangent.y, -1.0);
@@ -52,7 +62,10 @@ impl Decoded {
             self.rgb8(part_then * self.extent_pixels)
         };
         let [width, height] = extent_pixels;
-        let data = (0..height).flat_map(|y| (0..width).flat_map(move |x| pixel(x, y))).collect();
+        let data = (0..height)
+            .flat_map(|y| (0..width).map(move |x| (x, y)))
+            .flat_map(|(x, y)| pixel(x, y))
+            .collect();
         Rgb8Image::new(width, height, data).expect("as many bytes as pixels have")
     }
 
@@ -64,13 +77,14 @@ impl Decoded {
 }
 
 /// Of the left and upper side, and of the right and lower one; down is positive.
-fn tangents(fov: Fov) -> (Vec2, Vec2) {
+pub(super) fn tangents(fov: Fov) -> (Vec2, Vec2) {
     (Vec2::new(fov.left.tan(), -fov.up.tan()), Vec2::new(fov.right.tan(), -fov.down.tan()))
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use glam::Quat;
     use shadecast_shaders::color;
 
     const SIDE: u32 = 64;
@@ -83,7 +97,7 @@ mod tests {
             if is_white { [255, 255, 255, 255] } else { [20, 60, 90, 255] }
         });
         let picture = color::picture(&rgba.collect::<Vec<_>>(), [SIDE, SIDE]);
-        Decoded::new(&picture, Quat::IDENTITY, fov)
+        Decoded::new(&picture, None, Pose::IDENTITY, fov)
     }
 
     fn brightest_column(picture: &Rgb8Image) -> u32 {
@@ -94,7 +108,7 @@ mod tests {
     #[test]
     fn an_eye_that_looks_the_same_way_sees_the_picture() {
         let fov = Fov::symmetric_degrees(90.0);
-        let picture = column(0.2, fov).warped(Quat::IDENTITY, fov, [SIDE, SIDE]);
+        let picture = column(0.2, fov).warped(Pose::IDENTITY, fov, [SIDE, SIDE]);
         assert_eq!(picture.pixel(3, 3).map(|channel| channel.abs_diff([20, 60, 90][0])).len(), 3);
         let expected = column(0.2, fov);
         for x in 0..SIDE {
@@ -108,7 +122,7 @@ mod tests {
         let fov = Fov::symmetric_degrees(90.0);
         for angle in [-0.3f32, 0.1, 0.4] {
             // To the right is about -y.
-            let turned = Quat::from_rotation_y(-angle);
+            let turned = Pose { orientation: Quat::from_rotation_y(-angle), ..Pose::IDENTITY };
             let seen = column(angle, fov).warped(turned, fov, [SIDE, SIDE]);
             assert!(brightest_column(&seen).abs_diff(SIDE / 2) <= 1, "{angle}: {}", brightest_column(&seen));
         }
@@ -117,7 +131,7 @@ mod tests {
     #[test]
     fn a_margin_is_left_out_where_the_head_came_as_expected() {
         let (wide, narrow) = (Fov::symmetric_degrees(110.0), Fov::symmetric_degrees(90.0));
-        let seen = column(0.3, wide).warped(Quat::IDENTITY, narrow, [SIDE, SIDE]);
+        let seen = column(0.3, wide).warped(Pose::IDENTITY, narrow, [SIDE, SIDE]);
         let expected = ((0.3f32.tan() + 1.0) / 2.0 * SIDE as f32) as u32;
         assert!(brightest_column(&seen).abs_diff(expected) <= 1);
     }
@@ -125,7 +139,11 @@ mod tests {
     #[test]
     fn beyond_its_border_a_picture_goes_on() {
         let fov = Fov::symmetric_degrees(90.0);
-        let seen = column(0.0, fov).warped(Quat::from_rotation_y(2.5), fov, [SIDE, SIDE]);
+        let seen = column(0.0, fov).warped(
+            Pose { orientation: Quat::from_rotation_y(2.5), ..Pose::IDENTITY },
+            fov,
+            [SIDE, SIDE],
+        );
         assert_eq!(seen.pixel(0, 0), seen.pixel(SIDE - 1, 0));
     }
 }
