@@ -2,6 +2,7 @@
 //! all alike.
 
 use super::run::mock_config;
+use crate::measure::percentiles::median;
 use crate::session::options::RunOptions;
 use crate::session::{Lab, START_NS};
 use anyhow::Context;
@@ -89,11 +90,7 @@ impl Cost {
 
     /// The median of each part.
     fn median(costs: &[Self]) -> Self {
-        let of = |part: fn(&Self) -> f64| {
-            let mut sorted: Vec<f64> = costs.iter().map(part).collect();
-            sorted.sort_by(f64::total_cmp);
-            sorted.get(sorted.len() / 2).copied().unwrap_or(f64::NAN)
-        };
+        let of = |part: fn(&Self) -> f64| median(costs.iter().map(part));
         Self {
             server_ms: of(|cost| cost.server_ms),
             client_ms: of(|cost| cost.client_ms),

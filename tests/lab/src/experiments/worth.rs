@@ -5,6 +5,7 @@
 
 use super::costs::{Cost, cost};
 use super::run::mock_config;
+use crate::measure::percentiles::median;
 use crate::session::options::{RunOptions, StageMs};
 use serde::{Deserialize, Serialize};
 use shadecast_mock_runtime::config::{ClockKind, MockConfig};
@@ -105,15 +106,18 @@ pub fn measure(dragons: u32, rounds: usize, out: PathBuf) -> anyhow::Result<Wort
         };
         found.push((0..=Measure::ALL.len()).map(with_first).collect::<anyhow::Result<_>>()?);
     }
-    let median_of =
-        |value: &dyn Fn(&[Cost]) -> f64| sorted(found.iter().map(|round| value(round)))[rounds / 2];
+    let median_of = |value: &dyn Fn(&[Cost]) -> f64| median(found.iter().map(|round| value(round)));
     let rows = Measure::ALL.iter().enumerate().map(|(before, measure)| {
-        let saved =
-            sorted(found.iter().map(|round| 1.0 - round[before + 1].server_ms / round[before].server_ms));
+        let saved = |round: &Vec<Cost>| 1.0 - round[before + 1].server_ms / round[before].server_ms;
+        let saved = || found.iter().map(saved);
         Row {
             measure: format!("{measure:?}"),
             with_ms: median_of(&|round| round[before + 1].server_ms),
-            saved: [saved[rounds / 2], saved[0], saved[rounds - 1]],
+            saved: [
+                median(saved()),
+                saved().fold(f64::INFINITY, f64::min),
+                saved().fold(f64::NEG_INFINITY, f64::max),
+            ],
             other_bytes_ratio: median_of(&|round| round[before + 1].other_bytes / round[before].other_bytes),
         }
     });
@@ -123,10 +127,4 @@ pub fn measure(dragons: u32, rounds: usize, out: PathBuf) -> anyhow::Result<Wort
         without_ms: median_of(&|round| round[0].server_ms),
         rows: rows.collect(),
     })
-}
-
-fn sorted(values: impl Iterator<Item = f64>) -> Vec<f64> {
-    let mut sorted: Vec<f64> = values.collect();
-    sorted.sort_by(f64::total_cmp);
-    sorted
 }
