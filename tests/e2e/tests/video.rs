@@ -96,6 +96,7 @@ fn both_ways_are_measured_alike_and_again_alike() {
     assert_eq!(found.links[..1], again.links);
     for over in &found.links {
         assert_eq!(over.videos.len(), 2);
+        assert!(over.videos.iter().chain([&over.ours]).all(|row| row.flicker > Some(0.0)));
         assert!(over.videos[0].flip <= over.videos[1].flip, "the best counts");
         assert!((over.flip_ratio - over.ours.flip / over.videos[0].flip).abs() < 1e-12);
     }

@@ -4,12 +4,12 @@ use super::run::{RunArgs, run_options};
 use super::write_json;
 use anyhow::ensure;
 use clap::Args;
-use shadecast_lab::experiments::quality::{self, VIDEOS, Video};
+use shadecast_lab::experiments::quality::{self, LATENCIES_MS, VIDEOS, Video};
 
 #[derive(Args)]
 pub(super) struct QualityArgs {
     /// Latencies of the links, milliseconds one way, each with a jitter of a half of it and at most 10 ms
-    #[arg(long, value_name = "MS", value_delimiter = ',', default_value = "5,20,50,110,200")]
+    #[arg(long, value_name = "MS", value_delimiter = ',', default_values_t = LATENCIES_MS)]
     latencies: Vec<f64>,
     /// Pictures a second of the videos [default: 30,72]
     #[arg(long, value_name = "HZ", value_delimiter = ',')]
@@ -36,8 +36,7 @@ pub(super) fn run(args: QualityArgs) -> anyhow::Result<()> {
         !videos.is_empty(),
         "no video has these rates and margins; there are 0, 5, 10 and 15 degrees at 30 Hz, and 0 and 5 at 72 Hz"
     );
-    let link = |latency: &f64| format!("latency={latency}ms,jitter={}ms", (latency / 2.0).min(10.0));
-    let links: Vec<String> = args.latencies.iter().map(link).collect();
+    let links: Vec<String> = args.latencies.into_iter().map(quality::link).collect();
     let options = run_options(args.run)?;
     let found = quality::measure(&options, &scene, &links, &videos)?;
     print!("{found}");

@@ -64,6 +64,9 @@ pub(super) struct RunArgs {
     /// Compares with the truth every N display frames (with --dump-every: those that are written)
     #[arg(long, default_value_t = COMPARE_EVERY, value_parser = value_parser!(u32).range(1..))]
     compare_every: u32,
+    /// Also compares the frame after each of those, and measures flicker
+    #[arg(long)]
+    compare_pairs: bool,
     /// Compares nothing before this display frame, so that texels and bits have settled
     #[arg(long, value_name = "FRAME", default_value_t = 0)]
     compare_from: u64,
@@ -190,6 +193,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         seed: args.seed,
         dump_every: args.dump_every,
         compare_every: args.compare_every,
+        compare_pairs: args.compare_pairs,
         compare_from: args.compare_from,
         truth_places: args.truth_places,
         compare_waiting: false,

@@ -4,11 +4,14 @@
 
 use super::run::run;
 use crate::report::text_table::table;
-use crate::session::options::{Renderer, RunOptions};
+use crate::session::options::{Head, Renderer, RunOptions};
 use anyhow::Context;
 use serde::Serialize;
+use shadecast_scene::load::SceneSource;
+use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_transport::LinkProfile;
 use std::fmt;
+use std::path::PathBuf;
 
 /// Settings of a video.
 #[derive(Clone, Copy, Debug, PartialEq, Serialize)]
@@ -43,6 +46,28 @@ pub const VIDEOS: [Video; 12] = [
     Video::new(72.0, 5.0, true),
 ];
 
+/// Latencies of the links unless others are asked for, milliseconds one way.
+pub const LATENCIES_MS: [f64; 5] = [5.0, 20.0, 50.0, 110.0, 200.0];
+const MOST_JITTER_MS: f64 = 10.0;
+
+/// A link of so much latency, as a run takes it: with a jitter of a half of it, and at most 10 ms.
+pub fn link(latency_ms: f64) -> String {
+    format!("latency={latency_ms}ms,jitter={}ms", (latency_ms / 2.0).min(MOST_JITTER_MS))
+}
+
+/// Small pictures, since there are a dozen ways: with as many bits a pixel as 730x730 have at 20 Mbit/s.
+pub fn usual(scene: SceneSource, out: PathBuf) -> RunOptions {
+    RunOptions {
+        extent_pixels: [400; 2],
+        head: Head::Named("stride".to_owned()),
+        quality: QualityOptions::Bitrate(6.0),
+        seconds: 3.0,
+        compare_from: 110,
+        truth_places: 2,
+        ..RunOptions::new(scene, out)
+    }
+}
+
 /// What a way showed over a link.
 #[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct Row {
@@ -64,6 +89,8 @@ pub struct Row {
     pub psnr_db: [f64; 2],
     /// Mean.
     pub ssim: f64,
+    /// Mean change of the error of luma from one display frame to the next, 0..1.
+    pub flicker: Option<f64>,
     /// Of what is animated, where there is enough of it.
     pub animated_flip: Option<f64>,
 }
@@ -116,7 +143,7 @@ pub fn measure(
 }
 
 fn row(options: &RunOptions, scene: &str, link: &str, video: Option<Video>) -> anyhow::Result<Row> {
-    let mut options = RunOptions { renderer: Renderer::Stream, ..options.clone() };
+    let mut options = RunOptions { renderer: Renderer::Stream, compare_pairs: true, ..options.clone() };
     if let Some(Video { rate_hz, margin_degrees, has_depth }) = video {
         options = RunOptions {
             renderer: Renderer::Video,
@@ -139,12 +166,13 @@ fn row(options: &RunOptions, scene: &str, link: &str, video: Option<Video>) -> a
         flip_at_view: stats.flip_at_view.with_context(compared)?,
         psnr_db: [stats.psnr_db.with_context(compared)?, stats.psnr_db_worst.with_context(compared)?],
         ssim: stats.ssim.with_context(compared)?,
+        flicker: stats.flicker,
         animated_flip: stats.animated.flip,
     })
 }
 
 impl Row {
-    fn cells(&self) -> [String; 8] {
+    fn cells(&self) -> [String; 9] {
         let name = match self.video {
             Some(Video { rate_hz, margin_degrees, has_depth }) => {
                 let depth = if has_depth { ", depth" } else { "" };
@@ -160,6 +188,7 @@ impl Row {
             format!("{:.4}", self.flip_worst),
             format!("{:.1}, {:.1} dB", self.psnr_db[0], self.psnr_db[1]),
             format!("{:.4}", self.ssim),
+            self.flicker.map_or_else(|| "-".to_owned(), |flicker| format!("{flicker:.4}")),
             self.animated_flip.map_or_else(|| "-".to_owned(), |flip| format!("{flip:.4}")),
         ]
     }
@@ -167,8 +196,17 @@ impl Row {
 
 impl fmt::Display for Quality {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        const HEADS: [&str; 8] =
-            ["", "Mbit/s", "quantiser", "FLIP", "worst", "PSNR, worst", "SSIM", "FLIP of animated"];
+        const HEADS: [&str; 9] = [
+            "",
+            "Mbit/s",
+            "quantiser",
+            "FLIP",
+            "worst",
+            "PSNR, worst",
+            "SSIM",
+            "flicker",
+            "FLIP of animated",
+        ];
         for OverLink { link, ours, videos, flip_ratio } in &self.links {
             writeln!(f, "{} over {link}: FLIP is {flip_ratio:.2} of the best video's", self.scene)?;
             let rows = std::iter::once(ours).chain(videos).map(Row::cells);

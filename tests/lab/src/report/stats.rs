@@ -10,6 +10,8 @@ use shadecast_gpu::Gpu;
 use shadecast_server::serve::cause_bits::CauseBits;
 use thiserror::Error;
 
+use crate::image::Rgb8Image;
+use crate::measure::flicker::flicker;
 use crate::measure::metrics::{FrameMetrics, PictureMetrics, RegionMetrics};
 use crate::session::options::StageMs;
 
@@ -105,6 +107,9 @@ pub struct Stats {
     pub flip: Option<f64>,
     /// Mean over the compared views at the display's own pixels per degree.
     pub flip_at_view: Option<f64>,
+    /// Mean change of the error of luma from one display frame to the next, 0..1; none where no pairs were compared.
+    #[serde(default)]
+    pub flicker: Option<f64>,
     /// Mean share of the truth's geometry that is missing.
     pub hole_fraction: Option<f64>,
     /// The same without holes along outlines that a shift by one pixel explains.
@@ -210,6 +215,8 @@ pub struct Summary {
     /// Of both eyes of the last frame.
     last: Vec<FrameMetrics>,
     too_empty: u64,
+    /// Of eyes' pairs of frames.
+    flicker: Vec<f64>,
 }
 
 impl Summary {
@@ -222,6 +229,14 @@ impl Summary {
         match metrics.picture {
             Some(picture) => self.compared.push((picture, metrics)),
             None => self.too_empty += 1,
+        }
+    }
+
+    /// Takes two consecutive frames: each is what the client showed by eye, and the truth.
+    pub fn add_flicker(&mut self, before: &[[Rgb8Image; 2]; 2], now: &[[Rgb8Image; 2]; 2]) {
+        for eye in 0..2 {
+            let [before, now] = [before, now].map(|[client, truth]| [&client[eye], &truth[eye]]);
+            self.flicker.push(flicker(before, now));
         }
     }
 
@@ -256,6 +271,8 @@ impl Summary {
             flip_at_view: self.mean(|picture, _| picture.flip_at_view),
             hole_fraction: self.mean(|_, frame| frame.holes.strict),
             hole_fraction_beyond_outlines: self.mean(|_, frame| frame.holes.beyond_outlines),
+            flicker: (!self.flicker.is_empty())
+                .then(|| self.flicker.iter().sum::<f64>() / self.flicker.len() as f64),
             psnr_db_worst: self.values(|picture, _| picture.psnr_db).reduce(f64::min),
             hole_fraction_worst: self.values(|_, frame| frame.holes.strict).reduce(f64::max),
             animated: self.region(|frame| frame.animated),
@@ -337,6 +354,9 @@ impl fmt::Display for Stats {
         let at_view = figure(self.flip_at_view, 4, "");
         let flip = figure(self.flip, 4, "");
         line(f, "FLIP", format_args!("{flip} at 67 pixels per degree, {at_view} at the display's own"))?;
+        if self.flicker.is_some() {
+            line(f, "flicker", format_args!("{}", figure(self.flicker, 4, "")))?;
+        }
         self.fmt_holes(f)?;
         self.fmt_region(f, "animated", &self.animated)?;
         self.fmt_region(f, "moving shadows", &self.shadowed)?;

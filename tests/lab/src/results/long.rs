@@ -11,6 +11,7 @@ use crate::experiments::live;
 use crate::experiments::motion_table::{self, Condition, Kind};
 use crate::experiments::paper_size;
 use crate::experiments::picture;
+use crate::experiments::quality::{self, VIDEOS};
 use crate::experiments::render_thread;
 use crate::experiments::run::run;
 use crate::experiments::skinning;
@@ -167,6 +168,15 @@ fn jobs() -> Vec<Job> {
             picture::measure(&source, &shown, folder).map(Some)
         };
         jobs.push(Job::new(&format!("picture-{}", scene.name), work));
+    }
+    for latency_ms in quality::LATENCIES_MS {
+        let work = move |folder: &Path| {
+            let options = quality::usual(SceneSource::Dragons(9), folder.join("run"));
+            let found = quality::measure(&options, "dragons:9", &[quality::link(latency_ms)], &VIDEOS)?;
+            print!("{found}");
+            Ok(Some(serde_json::to_value(found)?))
+        };
+        jobs.push(Job::new(&format!("quality-dragons9-{latency_ms}ms"), work));
     }
     for scene in CAUSED {
         let work = move |folder: &Path| {

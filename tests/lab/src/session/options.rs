@@ -241,6 +241,8 @@ pub struct RunOptions {
     pub dump_every: u32,
     /// Every so many display frames client and truth are compared.
     pub compare_every: u32,
+    /// Each of them is followed by the next frame, which tells how much errors change.
+    pub compare_pairs: bool,
     /// No earlier than this display frame.
     pub compare_from: u64,
     /// Places a side of a pixel for which the truth has a colour; the pixel has their mean.
@@ -310,6 +312,7 @@ impl RunOptions {
             out,
             dump_every: 0,
             compare_every: COMPARE_EVERY,
+            compare_pairs: false,
             compare_from: 0,
             truth_places: 1,
             compare_waiting: false,
@@ -352,6 +355,13 @@ impl RunOptions {
         }
     }
 
+    /// Whether a display frame is compared with the truth.
+    pub fn compares(&self, frame: u64) -> bool {
+        let every = u64::from(if self.dump_every > 0 { self.dump_every } else { self.compare_every });
+        let place = frame % every;
+        frame >= self.compare_from && (place == 0 || self.compare_pairs && place == 1)
+    }
+
     /// The command that repeats the run, with what differs from a run's defaults; `scene` is the scene as a person calls it.
     pub fn command_line(&self, scene: &str) -> String {
         let usual = Self::new(self.scene.clone(), self.out.clone());
@@ -371,6 +381,9 @@ impl RunOptions {
         line += &format!(" --stage-ms {of_update},encode={encode},decode={decode}");
         if let Some(clip) = &self.clip {
             line += &format!(" --clip {clip}");
+        }
+        if self.compare_pairs {
+            line += " --compare-pairs";
         }
         if self.compare_from > 0 {
             line += &format!(" --compare-from {}", self.compare_from);

@@ -62,6 +62,11 @@ pub struct Look {
 }
 
 impl Look {
+    /// Whether the last look was at the frame before.
+    pub(super) fn is_before(looks: &[Self], frame: u64) -> bool {
+        looks.last().is_some_and(|look| look.frame + 1 == frame)
+    }
+
     /// Of the frame's eyes, as they were measured.
     pub(super) fn of(frame: u64, eyes: &[FrameMetrics]) -> Self {
         let most = |of: fn(&FrameMetrics) -> Option<f64>| eyes.iter().filter_map(of).reduce(f64::max);
@@ -138,7 +143,11 @@ pub(crate) fn comparer(server: &Server, options: &RunOptions) -> anyhow::Result<
 /// # Errors
 /// Anything that keeps the run from going on: no device, no runtime, a file.
 pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
-    let capture_every = if options.dump_every > 0 { options.dump_every } else { options.compare_every };
+    let capture_every = match (options.compare_pairs, options.dump_every) {
+        (true, _) => 1,
+        (false, 0) => options.compare_every,
+        (false, dump_every) => dump_every,
+    };
     let capture = options.out.join("capture");
     clear(&capture)?;
     let config = mock_config(options, ClockKind::Virtual, capture_every)?;
@@ -162,7 +171,6 @@ pub fn run(options: &RunOptions) -> anyhow::Result<Report> {
     let mut run = Run {
         options,
         capture,
-        capture_every,
         frame: 0,
         sent_before: Sent::default(),
         summary: Summary::default(),
@@ -211,7 +219,6 @@ pub fn progress(visible: bool, length: u64) -> ProgressBar {
 struct Run<'a> {
     options: &'a RunOptions,
     capture: PathBuf,
-    capture_every: u32,
     /// Display frames so far.
     frame: u64,
     /// What was sent before the first frame that is compared: rates are those of what comes after.
@@ -248,7 +255,7 @@ impl Run<'_> {
             }
         }
         self.with_bundle += u64::from(has_bundle);
-        if frame < self.options.compare_from || !frame.is_multiple_of(u64::from(self.capture_every)) {
+        if !self.options.compares(frame) {
             return Ok(()); // the frame log grows: it is read only where there are pictures
         }
         let records = read_frames(&self.capture).context("reading the runtime's frame log")?;
@@ -266,6 +273,9 @@ impl Run<'_> {
             time,
             probes.as_ref(),
         )?;
+        if let Some(before) = self.last.as_ref().filter(|_| Look::is_before(&self.looks, frame)) {
+            self.summary.add_flicker(before, &pictures);
+        }
         self.looks.push(Look::of(frame, self.summary.last_two()));
         if self.options.dump_every > 0 {
             dump(&self.options.out, record.frame, &pictures)?;

@@ -91,10 +91,14 @@ pub(super) fn run(options: &RunOptions, config: &MockConfig) -> anyhow::Result<R
         }
         show.begin_frame(frame);
         with_bundle += u64::from(show.shown.is_some());
-        let is_compared =
-            frame >= options.compare_from && frame.is_multiple_of(u64::from(options.compare_every));
-        if is_compared && let Some(number) = show.shown {
-            last = Some(show.compare(&mut comparer, &mut summary, number, frame)?);
+        if options.compares(frame)
+            && let Some(number) = show.shown
+        {
+            let pictures = show.compare(&mut comparer, &mut summary, number, frame)?;
+            if let Some(before) = last.as_ref().filter(|_| Look::is_before(&looks, frame)) {
+                summary.add_flicker(before, &pictures);
+            }
+            last = Some(pictures);
             looks.push(Look::of(frame, summary.last_two()));
         }
         bar.inc(1);
