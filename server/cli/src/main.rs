@@ -359,3 +359,15 @@ fn generate_model(what: &str, out: &Path) -> anyhow::Result<()> {
     println!("{}: {} bytes", out.display(), bytes.len());
     Ok(())
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    /// What clap asserts of a command line: no two flags or groups of one name, and defaults that parse.
+    #[test]
+    fn every_command_is_well_formed() {
+        Cli::command().debug_assert();
+    }
+}

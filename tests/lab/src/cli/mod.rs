@@ -61,7 +61,7 @@ enum Command {
     /// Runs server, link and client in one process on a virtual clock, and measures
     Run(run::RunArgs),
     /// Measures the atlas beside a video of both eyes: the same bit rate, the same links, the best of several settings of video
-    Quality(quality::QualityArgs),
+    Quality(quality::QualityCommandArgs),
     /// Measures how exactly vertices move: every way over several links, in one table
     Motion(motion::MotionArgs),
     /// Measures what each cause of error costs: a run as it ships, and the same run without each cause in turn
@@ -212,4 +212,16 @@ fn write_json(path: &Path, found: &impl Serialize) -> anyhow::Result<()> {
     let text = serde_json::to_string_pretty(found)? + "\n";
     shadecast_system::write_atomically(path, text.as_bytes())
         .with_context(|| format!("writing {}", path.display()))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    /// What clap asserts of a command line: no two flags or groups of one name, and defaults that parse.
+    #[test]
+    fn every_command_is_well_formed() {
+        Cli::command().debug_assert();
+    }
 }

@@ -7,7 +7,7 @@ use clap::Args;
 use shadecast_lab::experiments::quality::{self, LATENCIES_MS, VIDEOS, Video};
 
 #[derive(Args)]
-pub(super) struct QualityArgs {
+pub(super) struct QualityCommandArgs {
     /// Latencies of the links, milliseconds one way, each with a jitter of a half of it and at most 10 ms
     #[arg(long, value_name = "MS", value_delimiter = ',', default_values_t = LATENCIES_MS)]
     latencies: Vec<f64>,
@@ -24,7 +24,13 @@ pub(super) struct QualityArgs {
     run: RunArgs,
 }
 
-pub(super) fn run(args: QualityArgs) -> anyhow::Result<()> {
+pub(super) fn run(args: QualityCommandArgs) -> anyhow::Result<()> {
+    let of_one_run = args.run.one_way_or_link();
+    ensure!(
+        of_one_run.is_none(),
+        "{} is for one run; quality has --latencies, --video-rates, --video-margins and --video-depths",
+        of_one_run.unwrap_or_default()
+    );
     let (scene, out) = (args.run.scene.clone(), args.run.out.clone());
     let is_asked_for = |video: &Video| {
         (args.video_rates.is_empty() || args.video_rates.contains(&video.rate_hz))

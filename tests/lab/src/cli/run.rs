@@ -7,7 +7,8 @@ use shadecast_desktop::flags::{MOST_S, number, size};
 use shadecast_lab::experiments::run::{self, Report};
 use shadecast_lab::experiments::viewers::run_each;
 use shadecast_lab::session::options::{
-    COMPARE_EVERY, Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, ViewerOptions, parse_room,
+    COMPARE_EVERY, Head, Renderer, RunOptions, Spared, StageMs, USUAL_LINK, USUAL_VIDEO_MARGIN_DEGREES,
+    ViewerOptions, parse_room,
 };
 use shadecast_protocol::limits::MAX_STORE_PAGES;
 use shadecast_server::pacing::quality::QualityOptions;
@@ -17,6 +18,20 @@ use shadecast_server::update::policy::UpdatePolicy;
 use shadecast_server::visibility::view_plan::ViewPlan;
 use shadecast_server_cli::arguments::{GpuArgs, RenderArgs, SceneArgs, one_of};
 use std::path::PathBuf;
+
+impl RunArgs {
+    /// The flag, if one is given, that says which renderer and link the run has.
+    pub(super) fn one_way_or_link(&self) -> Option<&'static str> {
+        let flags = [
+            ("--renderer", self.renderer != Renderer::Stream),
+            ("--link", self.link != USUAL_LINK),
+            ("--viewer", !self.viewer.is_empty()),
+            ("--video-margin", self.video_margin != USUAL_VIDEO_MARGIN_DEGREES),
+            ("--video-depth", self.video_depth),
+        ];
+        flags.into_iter().find_map(|(flag, is_given)| is_given.then_some(flag))
+    }
+}
 
 #[derive(Args)]
 pub(super) struct RunArgs {
@@ -98,7 +113,7 @@ pub(super) struct RunArgs {
     #[arg(long)]
     no_blend: bool,
     /// Of --renderer video: degrees that pictures show beyond each side of an eye's field of view
-    #[arg(long, value_name = "DEGREES", default_value_t = 10.0, value_parser = number(0.0_f32..=30.0, "degrees"))]
+    #[arg(long, value_name = "DEGREES", default_value_t = USUAL_VIDEO_MARGIN_DEGREES, value_parser = number(0.0_f32..=30.0, "degrees"))]
     video_margin: f32,
     /// Of --renderer video: pictures have depth, by which they are shown to a head that moved
     #[arg(long)]

@@ -191,6 +191,8 @@ impl FromStr for ViewerOptions {
 /// update at the same moment of its time on display, and moving shadows look 4 dB better or worse by that moment. Eleven frames reach
 /// every moment.
 pub const COMPARE_EVERY: u32 = 11;
+/// What a video shows beyond each side of an eye's field of view unless told otherwise, degrees.
+pub const USUAL_VIDEO_MARGIN_DEGREES: f32 = 10.0;
 
 /// The network of runs that name none.
 pub const USUAL_LINK: &str = "latency=20ms,jitter=5ms,rate=100mbit";
@@ -329,7 +331,7 @@ impl RunOptions {
             room: USUAL_ROOM,
             store_pages: USUAL_STORE_PAGES,
             blends: true,
-            video_margin_degrees: 10.0,
+            video_margin_degrees: USUAL_VIDEO_MARGIN_DEGREES,
             video_has_depth: false,
             shade_texels: None,
             rate_hz: 30.0,
