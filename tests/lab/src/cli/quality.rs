@@ -4,7 +4,7 @@ use super::run::{RunArgs, run_options};
 use super::write_json;
 use anyhow::ensure;
 use clap::Args;
-use shadecast_lab::experiments::quality::{self, LATENCIES_MS, VIDEOS, Video};
+use shadecast_lab::experiments::quality::{self, LATENCIES_MS, Video};
 
 #[derive(Args)]
 pub(super) struct QualityCommandArgs {
@@ -37,7 +37,7 @@ pub(super) fn run(args: QualityCommandArgs) -> anyhow::Result<()> {
             && (args.video_margins.is_empty() || args.video_margins.contains(&video.margin_degrees))
             && args.video_depths.is_none_or(|has_depth| has_depth == video.has_depth)
     };
-    let videos: Vec<Video> = VIDEOS.into_iter().filter(is_asked_for).collect();
+    let videos: Vec<Video> = quality::videos().into_iter().filter(is_asked_for).collect();
     ensure!(
         !videos.is_empty(),
         "no video has these rates and margins; there are 0, 5, 10 and 15 degrees at 30 Hz, and 0 and 5 at 72 Hz"

@@ -24,27 +24,13 @@ pub struct Video {
     pub has_depth: bool,
 }
 
-impl Video {
-    const fn new(rate_hz: f64, margin_degrees: f32, has_depth: bool) -> Self {
-        Self { rate_hz, margin_degrees, has_depth }
-    }
+/// Those that are tried unless others are asked for: each without depth and with it.
+pub fn videos() -> Vec<Video> {
+    let settings = [(30.0, 0.0), (30.0, 5.0), (30.0, 10.0), (30.0, 15.0), (72.0, 0.0), (72.0, 5.0)];
+    let of =
+        |has_depth| settings.map(|(rate_hz, margin_degrees)| Video { rate_hz, margin_degrees, has_depth });
+    [false, true].into_iter().flat_map(of).collect()
 }
-
-/// Those that are tried unless others are asked for.
-pub const VIDEOS: [Video; 12] = [
-    Video::new(30.0, 0.0, false),
-    Video::new(30.0, 5.0, false),
-    Video::new(30.0, 10.0, false),
-    Video::new(30.0, 15.0, false),
-    Video::new(72.0, 0.0, false),
-    Video::new(72.0, 5.0, false),
-    Video::new(30.0, 0.0, true),
-    Video::new(30.0, 5.0, true),
-    Video::new(30.0, 10.0, true),
-    Video::new(30.0, 15.0, true),
-    Video::new(72.0, 0.0, true),
-    Video::new(72.0, 5.0, true),
-];
 
 /// Latencies of the links unless others are asked for, milliseconds one way.
 pub const LATENCIES_MS: [f64; 5] = [5.0, 20.0, 50.0, 110.0, 200.0];

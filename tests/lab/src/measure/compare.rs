@@ -78,17 +78,7 @@ impl Comparer {
 
     /// What an eye should see at a time.
     pub fn picture(&mut self, world_from_eye: Pose, fov: Fov, time: WorldTime) -> anyhow::Result<Rgb8Image> {
-        Ok(self.render_places(world_from_eye, fov, time)?.0)
-    }
-
-    /// The same, and what is where by place of a pixel.
-    pub fn seen(
-        &mut self,
-        world_from_eye: Pose,
-        fov: Fov,
-        time: WorldTime,
-    ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
-        self.render_places(world_from_eye, fov, time)
+        Ok(self.seen(world_from_eye, fov, time)?.0)
     }
 
     /// The truth's picture and what it says of the shown one.
@@ -146,7 +136,7 @@ impl Comparer {
         fov: Fov,
         time: WorldTime,
     ) -> anyhow::Result<(Rgb8Image, ProbeView)> {
-        let (picture, probe) = self.render_places(world_from_eye, fov, time)?;
+        let (picture, probe) = self.seen(world_from_eye, fov, time)?;
         let Some(middle) = &mut self.middle else { return Ok((picture, probe)) };
         // What is where is that of a pixel's middle, whatever colour it has.
         let posed = self.truth.posed(time);
@@ -154,8 +144,8 @@ impl Comparer {
         Ok((picture, probe_of(truth.extent_pixels, truth.instance, truth.distance_m)))
     }
 
-    /// The picture, and what is where by place.
-    fn render_places(
+    /// What an eye should see at a time, and what is where by place of a pixel.
+    pub fn seen(
         &mut self,
         world_from_eye: Pose,
         fov: Fov,

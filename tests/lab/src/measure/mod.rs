@@ -10,4 +10,5 @@ pub mod metrics;
 pub mod motion;
 pub(crate) mod percentiles;
 pub mod ssim;
+pub(crate) mod triangle;
 pub mod truth;

@@ -62,11 +62,6 @@ pub struct Look {
 }
 
 impl Look {
-    /// Whether the last look was at the frame before.
-    pub(super) fn is_before(looks: &[Self], frame: u64) -> bool {
-        looks.last().is_some_and(|look| look.frame + 1 == frame)
-    }
-
     /// Of the frame's eyes, as they were measured.
     pub(super) fn of(frame: u64, eyes: &[FrameMetrics]) -> Self {
         let most = |of: fn(&FrameMetrics) -> Option<f64>| eyes.iter().filter_map(of).reduce(f64::max);
@@ -76,6 +71,20 @@ impl Look {
             animated_holes: most(|eye| eye.animated.picture.map(|_| eye.animated.holes.strict)),
             flip: most(|eye| eye.picture.map(|picture| picture.flip)),
         }
+    }
+}
+
+/// Takes in how much errors changed, where the last look, at `last`, was at the frame before.
+pub(super) fn add_flicker(
+    summary: &mut Summary,
+    looks: &[Look],
+    last: Option<&[[Rgb8Image; 2]; 2]>,
+    frame: u64,
+    now: &[[Rgb8Image; 2]; 2],
+) {
+    let follows = looks.last().is_some_and(|look| look.frame + 1 == frame);
+    if let Some(before) = last.filter(|_| follows) {
+        summary.add_flicker(before, now);
     }
 }
 
@@ -273,9 +282,7 @@ impl Run<'_> {
             time,
             probes.as_ref(),
         )?;
-        if let Some(before) = self.last.as_ref().filter(|_| Look::is_before(&self.looks, frame)) {
-            self.summary.add_flicker(before, &pictures);
-        }
+        add_flicker(&mut self.summary, &self.looks, self.last.as_ref(), frame, &pictures);
         self.looks.push(Look::of(frame, self.summary.last_two()));
         if self.options.dump_every > 0 {
             dump(&self.options.out, record.frame, &pictures)?;

@@ -5,6 +5,7 @@
 
 use super::InstancePose;
 use crate::measure::metrics::ProbeView;
+use crate::measure::triangle::for_each_pixel;
 use glam::{Mat4, Vec3};
 use shadecast_protocol::pose::{Fov, Pose};
 use shadecast_protocol::time::WorldTime;
@@ -140,27 +141,10 @@ impl DepthMap {
     fn add_triangle(&mut self, corners: [Vec3; 3]) {
         let [a, b, c] =
             corners.map(|corner| Vec3::new(corner.x * SIDE as f32, corner.y * SIDE as f32, corner.z));
-        let area = (b - a).truncate().perp_dot((c - a).truncate());
-        if area == 0.0 || !area.is_finite() {
-            return;
-        }
-        let (low, high) = (a.min(b).min(c), a.max(b).max(c));
-        let range = |low: f32, high: f32| {
-            (low - 0.5).ceil().max(0.0) as usize..((high + 0.5).floor().clamp(0.0, SIDE as f32)) as usize
-        };
-        for y in range(low.y, high.y) {
-            for x in range(low.x, high.x) {
-                let at = Vec3::new(x as f32 + 0.5, y as f32 + 0.5, 0.0);
-                let part =
-                    |from: Vec3, to: Vec3| (to - from).truncate().perp_dot((at - from).truncate()) / area;
-                let (of_c, of_a, of_b) = (part(a, b), part(b, c), part(c, a));
-                if of_a >= 0.0 && of_b >= 0.0 && of_c >= 0.0 {
-                    let depth = of_a * a.z + of_b * b.z + of_c * c.z;
-                    let texel = &mut self.0[y * SIDE + x];
-                    *texel = texel.max(depth);
-                }
-            }
-        }
+        for_each_pixel([a, b, c].map(Vec3::truncate), [SIDE; 2], |texel, [of_a, of_b, of_c]| {
+            let depth = of_a * a.z + of_b * b.z + of_c * c.z;
+            self.0[texel] = self.0[texel].max(depth);
+        });
     }
 }
 

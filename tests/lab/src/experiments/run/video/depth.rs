@@ -1,10 +1,12 @@
 //! Depth of a video's pictures, and positional time-warp by it. Pure.
 //!
-//! Depth travels as the luma of a video of half as many pixels a side: the inverse of the distance along the view axis, in 8 bits. The client draws
-//! a grid with a vertex at each of its pixels, moved to where the head is now. What a gap between two surfaces uncovers looks as the farther one.
+//! Depth travels as the luma of a video of half as many pixels a side: the inverse of the distance along the view axis, in 8 bits.
+//! The client draws a grid with a vertex at each of its pixels, moved to where the head is now. What a gap between two surfaces
+//! uncovers looks as the farther one.
 
 use super::warp::tangents;
 use crate::measure::metrics::ProbeView;
+use crate::measure::triangle::for_each_pixel;
 use anyhow::ensure;
 use glam::{Vec2, Vec3};
 use shadecast_protocol::picture::I420;
@@ -68,9 +70,9 @@ pub(super) fn coded(probe: &ProbeView, extent_pixels: [u32; 2]) -> anyhow::Resul
 pub(super) struct Change {
     /// From the eye then to the eye now.
     pub now_from_then: Pose,
-    /// What each sees.
+    /// What the eye saw then.
     pub fov_then: Fov,
-    /// Of the new picture.
+    /// What it sees now.
     pub fov_now: Fov,
     /// Of the new picture.
     pub extent_pixels: [u32; 2],
@@ -152,7 +154,7 @@ impl Depth {
     }
 }
 
-fn pixels(extent_pixels: [u32; 2]) -> Vec2 {
+pub(super) fn pixels(extent_pixels: [u32; 2]) -> Vec2 {
     Vec2::from(extent_pixels.map(|side| side as f32))
 }
 
@@ -172,46 +174,30 @@ fn without_gap(corners: [Vertex; 3], cell_pixels: Vec2) -> [Vertex; 3] {
 
 /// What is nearest by pixel.
 struct Seen {
-    extent: [i32; 2],
+    extent: [usize; 2],
     inverse_m: Vec<f32>,
     sources: Vec<Option<Vec2>>,
 }
 
 impl Seen {
-    fn new([width, height]: [u32; 2]) -> Self {
-        let count = width as usize * height as usize;
-        Self {
-            extent: [width as i32, height as i32],
-            inverse_m: vec![f32::NEG_INFINITY; count],
-            sources: vec![None; count],
-        }
+    fn new(extent_pixels: [u32; 2]) -> Self {
+        let extent = extent_pixels.map(|side| side as usize);
+        let count = extent[0] * extent[1];
+        Self { extent, inverse_m: vec![f32::NEG_INFINITY; count], sources: vec![None; count] }
     }
 
     /// Adds a triangle that faces the eye.
     fn add(&mut self, [a, b, c]: [Vertex; 3]) {
-        let area = (b.at - a.at).perp_dot(c.at - a.at);
-        if area.is_nan() || area <= 0.0 {
+        if (b.at - a.at).perp_dot(c.at - a.at) < 0.0 {
             return;
         }
-        let range = |axis: usize| {
-            let of = [a.at[axis], b.at[axis], c.at[axis]];
-            let low = of.iter().fold(f32::INFINITY, |a, b| a.min(*b));
-            let high = of.iter().fold(f32::NEG_INFINITY, |a, b| a.max(*b));
-            ((low - 0.5).ceil() as i32).max(0)
-                ..((high - 0.5).floor() as i32).saturating_add(1).min(self.extent[axis])
-        };
-        let (columns, rows) = (range(0), range(1));
-        for (x, y) in rows.flat_map(|y| columns.clone().map(move |x| (x, y))) {
-            let pixel = Vec2::new(x as f32, y as f32) + 0.5;
-            let part = |from: Vertex, to: Vertex| (to.at - from.at).perp_dot(pixel - from.at) / area;
-            let [of_a, of_b, of_c] = [part(b, c), part(c, a), part(a, b)];
+        for_each_pixel([a.at, b.at, c.at], self.extent, |pixel, [of_a, of_b, of_c]| {
             let inverse_m = of_a * a.inverse_m + of_b * b.inverse_m + of_c * c.inverse_m;
-            let at = (y * self.extent[0] + x) as usize;
-            if of_a.min(of_b).min(of_c) >= 0.0 && inverse_m > self.inverse_m[at] {
-                self.inverse_m[at] = inverse_m;
-                self.sources[at] = Some(of_a * a.source + of_b * b.source + of_c * c.source);
+            if inverse_m > self.inverse_m[pixel] {
+                self.inverse_m[pixel] = inverse_m;
+                self.sources[pixel] = Some(of_a * a.source + of_b * b.source + of_c * c.source);
             }
-        }
+        });
     }
 }
 

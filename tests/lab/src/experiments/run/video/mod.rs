@@ -1,8 +1,8 @@
 //! `shadecast-lab run --renderer video`: what a video of both eyes shows at the same rate over the same link.
 //!
 //! The server renders what both eyes are expected to see, by the truth's renderer, wider by a margin, and encodes it. The client turns the
-//! newest picture to where the head looks now (rotational time-warp); with depth, also to where it is (positional time-warp). Head, link, durations of stages, prediction and encoder are those of
-//! the other renderers. In favour of video: clocks agree, each picture has the light of several places of a pixel, the encoder has its loop filter,
+//! newest picture to where the head looks now (rotational time-warp); with depth, also to where it is (positional time-warp). Head, link,
+//! durations of stages, prediction and encoder are those of the other renderers. In favour of video: clocks agree, each picture has the light of several places of a pixel, the encoder has its loop filter,
 //! and its quantiser follows the rate closely. Pictures that the link cannot carry queue up: the rate must fit the link.
 
 mod depth;
@@ -10,7 +10,7 @@ mod rate;
 mod studio;
 mod warp;
 
-use super::{Look, Report, comparer, progress, write_pictures};
+use super::{Look, Report, add_flicker, comparer, progress, write_pictures};
 use crate::image::Rgb8Image;
 use crate::measure::compare::{Comparer, Shown};
 use crate::measure::percentiles::median;
@@ -79,9 +79,7 @@ pub(super) fn run(options: &RunOptions, config: &MockConfig) -> anyhow::Result<R
             && let Some(number) = show.shown
         {
             let pictures = show.compare(&mut comparer, &mut summary, number, frame)?;
-            if let Some(before) = last.as_ref().filter(|_| Look::is_before(&looks, frame)) {
-                summary.add_flicker(before, &pictures);
-            }
+            add_flicker(&mut summary, &looks, last.as_ref(), frame, &pictures);
             last = Some(pictures);
             looks.push(Look::of(frame, summary.last_two()));
         }

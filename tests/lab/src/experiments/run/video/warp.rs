@@ -1,6 +1,6 @@
 //! Time-warp: a decoded picture as another head sees it that turned since, and where there is depth also moved. Pure.
 
-use super::depth::{Change, Depth};
+use super::depth::{Change, Depth, pixels};
 use crate::image::Rgb8Image;
 use glam::{Mat3, Vec2, Vec3};
 use shadecast_protocol::picture::I420;
@@ -47,7 +47,7 @@ impl Decoded {
         let then_from_now = Mat3::from_quat(now_from_then.orientation.inverse());
         let (low, high) = tangents(fov);
         let (low_then, high_then) = tangents(self.fov);
-        let extent = Vec2::from(extent_pixels.map(|side| side as f32));
+        let extent = pixels(extent_pixels);
         let pixel = |x: u32, y: u32| {
             let at = (y * extent_pixels[0] + x) as usize;
             if let Some(source) = sources.as_ref().and_then(|sources| sources[at]) {
