@@ -172,8 +172,12 @@ impl ViewerUpdates {
     /// Steps 1 to 3 up to the device. A placed update is shaded behind them. Nobody waits for the device. False before the first
     /// head state. The update before that was collected.
     pub fn begin(&mut self, world: &mut World, now: ServerTime) -> Result<bool, GpuError> {
-        let (clock, margin) = (world.clock(), self.policy.views.margin());
-        let Some(views) = self.head.predict(now, &clock, world.grid(), margin) else { return Ok(false) }; // 1
+        let (clock, grid, margin) = (world.clock(), world.grid(), self.policy.views.margin());
+        let views = match self.policy.predicts {
+            true => self.head.predict(now, &clock, grid, margin),
+            false => self.head.unpredicted(now, &clock, grid),
+        };
+        let Some(views) = views else { return Ok(false) }; // 1
         // What the next update does to world and layout is not for this one.
         let placed = self.record_shading(world)?;
         let start = self.start(now, views);

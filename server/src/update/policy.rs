@@ -31,6 +31,8 @@ pub struct UpdatePolicy {
     pub clusters: bool,
     /// For when exactly updates are shaded, where that is known ahead; others as [`PredictedViews::shaded`](crate::visibility::predict::PredictedViews::shaded) says.
     pub shading_times: BTreeMap<UpdateId, WorldTime>,
+    /// Head and world are predicted for when updates will be on display.
+    pub predicts: bool,
     /// The times at which an update has a visibility pass.
     pub views: ViewPlan,
     /// Measures in force throughout, instead of those that the time of updates asks for.
@@ -46,6 +48,7 @@ impl Default for UpdatePolicy {
             one_pass_when_still: true,
             clusters: true,
             shading_times: BTreeMap::new(),
+            predicts: true,
             views: ViewPlan::default(),
             measures: None,
         }

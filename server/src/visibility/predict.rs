@@ -222,6 +222,28 @@ impl HeadTrack {
         Some(PredictedViews { begun: clock.world_time(now), times, shaded, eyes, world_from_head, margin })
     }
 
+    /// The views of a server that predicts nothing, for measurements: where the head was at its last report, and the world as it is at
+    /// `now`.
+    pub(crate) fn unpredicted(
+        &self,
+        now: ServerTime,
+        clock: &WorldClock,
+        grid: Grid,
+    ) -> Option<PredictedViews> {
+        let state = self.latest?;
+        let begun = clock.world_time(now);
+        let shaded = ViewTime::nearest(grid, begun);
+        let eyes = state.eyes.map(|eye| view(state.world_from_head, eye, MIN_MARGIN));
+        Some(PredictedViews {
+            begun,
+            times: [grid.floor(begun).into(), shaded, grid.ceil(begun).into()],
+            shaded,
+            eyes: [eyes; VIEW_TIMES],
+            world_from_head: state.world_from_head,
+            margin: MIN_MARGIN,
+        })
+    }
+
     /// The 95th percentile of recent prediction errors, within bounds.
     fn margin(&self) -> f32 {
         let mut errors = [0.0; REPORTS];

@@ -1,6 +1,6 @@
 //! A video of both eyes, as the atlas is compared with: it must be no weaker than it could be.
 
-use shadecast_lab::experiments::quality::{self, Video};
+use shadecast_lab::experiments::quality::{self, Compared, Method, Video};
 use shadecast_lab::experiments::run::run;
 use shadecast_lab::report::stats::Stats;
 use shadecast_lab::scenes::walls::{TEXELS, write_walls};
@@ -90,10 +90,22 @@ fn both_ways_are_measured_alike_and_again_alike() {
         margin_degrees,
         has_depth: margin_degrees > 0.0,
     });
-    let measure = |links: &[String]| quality::measure(&options, "dragons:1", links, &videos).unwrap();
-    let (found, again) = (measure(&links), measure(&links[..1]));
+    let compared = Compared { others: Method::OTHERS.to_vec(), videos: videos.to_vec() };
+    let measure = |links: &[String], compared: &Compared| {
+        quality::measure(&options, "dragons:1", links, compared).unwrap()
+    };
+    let found = measure(&links, &Compared { others: Vec::new(), ..compared.clone() });
+    let again = measure(&links[..1], &compared);
     print!("{found}");
-    assert_eq!(found.links[..1], again.links);
+    assert_eq!(
+        (&found.links[0].ours, &found.links[0].videos),
+        (&again.links[0].ours, &again.links[0].videos)
+    );
+    let [unpredicted, as_paper] = again.links[0].others.as_slice() else {
+        panic!("{:?}", again.links[0].others)
+    };
+    assert!(unpredicted.flip > again.links[0].ours.flip, "{unpredicted:?}");
+    assert!(as_paper.mbit_per_s > again.links[0].ours.mbit_per_s, "{as_paper:?}");
     for over in &found.links {
         assert_eq!(over.videos.len(), 2);
         assert!(over.videos.iter().chain([&over.ours]).all(|row| row.flicker > Some(0.0)));

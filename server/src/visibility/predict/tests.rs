@@ -31,6 +31,20 @@ fn a_steady_head_is_predicted_where_it_will_be() {
 }
 
 #[test]
+fn without_prediction_views_are_those_of_the_last_report_and_the_world_of_now() {
+    let mut track = HeadTrack::default();
+    assert!(track.unpredicted(ServerTime(1), &WorldClock::default(), DEFAULT_GRID).is_none());
+    track.head(state(0, 1.0, 5.0, 0.8));
+    track.displayed(ServerTime(0), ServerTime(70_000_000));
+    let now = ServerTime(1_200_000_000);
+    let views = track.unpredicted(now, &WorldClock::default(), DEFAULT_GRID).expect("a head is known");
+    assert_eq!(views.world_from_head, state(0, 1.0, 5.0, 0.8).world_from_head);
+    let [first, shaded, last] = views.times.map(|at| at.time(DEFAULT_GRID));
+    assert!(first <= views.begun && views.begun <= last && views.begun == WorldTime(now.0));
+    assert!((shaded.0 - now.0).abs() <= DEFAULT_GRID.spacing_ns, "{shaded:?}");
+}
+
+#[test]
 fn view_times_cover_the_time_on_display() {
     let mut track = HeadTrack::default();
     track.head(state(0, 1.0, 0.0, 0.0));

@@ -106,6 +106,9 @@ pub(super) struct RunArgs {
     /// All blocks are shaded with each update, whether anything about them has changed or not
     #[arg(long)]
     no_reuse: bool,
+    /// Updates are made for where the head was, and for the world as it is when they begin
+    #[arg(long)]
+    no_prediction: bool,
     /// What the client offers to keep and to draw: patches=N,vertices=N,triangles=N [default: as much as any may]
     #[arg(long, value_parser = parse_room, default_value = "patches=131072", hide_default_value = true)]
     room: Room,
@@ -195,7 +198,12 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         trace: args.render.trace,
         detail_pixels,
         spared: Spared {
-            policy: UpdatePolicy { views: args.views, reuse: !args.no_reuse, ..UpdatePolicy::default() },
+            policy: UpdatePolicy {
+                views: args.views,
+                reuse: !args.no_reuse,
+                predicts: !args.no_prediction,
+                ..UpdatePolicy::default()
+            },
             ..Spared::default()
         },
         surround,

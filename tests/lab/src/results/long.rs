@@ -11,7 +11,7 @@ use crate::experiments::live;
 use crate::experiments::motion_table::{self, Condition, Kind};
 use crate::experiments::paper_size;
 use crate::experiments::picture;
-use crate::experiments::quality;
+use crate::experiments::quality::{self, Compared};
 use crate::experiments::render_thread;
 use crate::experiments::run::run;
 use crate::experiments::skinning;
@@ -172,8 +172,8 @@ fn jobs() -> Vec<Job> {
     for latency_ms in quality::LATENCIES_MS {
         let work = move |folder: &Path| {
             let options = quality::usual(SceneSource::Dragons(9), folder.join("run"));
-            let found =
-                quality::measure(&options, "dragons:9", &[quality::link(latency_ms)], &quality::videos())?;
+            let links = [quality::link(latency_ms)];
+            let found = quality::measure(&options, "dragons:9", &links, &Compared::default())?;
             print!("{found}");
             Ok(Some(serde_json::to_value(found)?))
         };

@@ -420,6 +420,16 @@ impl RunOptions {
             let Room { patches, vertices, triangles } = self.room;
             line += &format!(" --room patches={patches},vertices={vertices},triangles={triangles}");
         }
+        let SceneOptions { sampling, skinning, motion, .. } = self.scene_options;
+        if sampling != usual.scene_options.sampling {
+            line += &format!(" --sampling {sampling}");
+        }
+        if skinning != usual.scene_options.skinning {
+            line += &format!(" --skinning {skinning}");
+        }
+        if motion != usual.scene_options.motion {
+            line += &format!(" --motion {motion}");
+        }
         if self.reconstruction == Reconstruction::Bicubic {
             line += " --reconstruction bicubic";
         }
@@ -433,6 +443,7 @@ impl RunOptions {
             (" --measure-motion", self.motion),
             (" --validation", self.validation),
             (" --no-reuse", !self.spared.policy.reuse),
+            (" --no-prediction", !self.spared.policy.predicts),
         ];
         for (flag, is_on) in flags {
             line += if is_on { flag } else { "" };
