@@ -16,3 +16,5 @@ pub mod encode;
 pub mod update;
 pub mod serve;
 pub mod truth;
+#[cfg(feature = "bench")]
+pub mod bench;
