@@ -20,6 +20,7 @@ mod neighbours;
 mod quality;
 mod render_thread;
 mod run;
+mod scale;
 mod skinning;
 mod slow;
 mod steady;
@@ -68,6 +69,8 @@ enum Command {
     Causes(causes::CausesArgs),
     /// Measures the ways of skinning side by side, against the floor that the device's own rates set
     Skinning(skinning::SkinningArgs),
+    /// Measures how device time and bytes grow with triangles, instances, joints, animated vertices, atlas, views and viewers
+    Scale(scale::ScaleArgs),
     /// Measures the second update of a scene in which nothing moves beside the first, by stage of the device
     Still(run::RunArgs),
     /// Measures slow devices: when the first picture comes, when a whole one, and what is missing afterwards
@@ -192,6 +195,7 @@ pub(crate) fn run() -> anyhow::Result<()> {
         Command::Walls { out } => {
             write_walls(&out, TEXELS).map(|_| ()).with_context(|| format!("writing into {}", out.display()))
         }
+        Command::Scale(args) => scale::run(&args),
         Command::Skinning(args) => skinning::run(&args),
         Command::Still(args) => still::run(args),
         Command::Slow(args) => slow::run(args),

@@ -89,7 +89,7 @@ impl Cost {
     }
 
     /// The median of each part.
-    fn median(costs: &[Self]) -> Self {
+    pub(super) fn median(costs: &[Self]) -> Self {
         let of = |part: fn(&Self) -> f64| median(costs.iter().map(part));
         Self {
             server_ms: of(|cost| cost.server_ms),
@@ -158,7 +158,7 @@ pub fn measure(options: &RunOptions, rounds: usize) -> anyhow::Result<Costs> {
                 let options = part.switched(&options, is_on);
                 cost(&options, &mock_config(&options, ClockKind::Virtual, 0)?, SETTLING_S)
             });
-            let (on, off) = (on?, off?);
+            let ((on, _), (off, _)) = (on?, off?);
             with.push(on);
             without.push(off);
             ratios.push(on.over(off));
@@ -169,8 +169,13 @@ pub fn measure(options: &RunOptions, rounds: usize) -> anyhow::Result<Costs> {
     Ok(Costs { rounds, rows })
 }
 
-/// Runs `options` on a headset, and measures after so many seconds.
-pub(super) fn cost(options: &RunOptions, headset: &MockConfig, settling_s: f64) -> anyhow::Result<Cost> {
+/// Runs `options` on a headset, and measures after so many seconds. The server's device counts all viewers; the bytes are the first
+/// one's. Gives the device's name, too.
+pub(super) fn cost(
+    options: &RunOptions,
+    headset: &MockConfig,
+    settling_s: f64,
+) -> anyhow::Result<(Cost, String)> {
     let config = MockConfig { capture_dir: None, ..headset.clone() };
     // SAFETY: the caller's promise, as for `run`.
     let mut lab = unsafe { Lab::open(options, &config) }?;
@@ -181,7 +186,7 @@ pub(super) fn cost(options: &RunOptions, headset: &MockConfig, settling_s: f64) 
         if since_s < settling_s || shown.update.is_none() {
             continue;
         }
-        before.get_or_insert_with(|| (lab.seat().sent, lab.seat().gpu_ms.values().sum::<f64>()));
+        before.get_or_insert_with(|| (lab.seat().sent, server_ms(&lab)));
         client_ms += lab.client.presenter.frame_timings()?.iter().map(|(_, ms)| ms).sum::<f64>();
         frames += 1;
     }
@@ -189,13 +194,20 @@ pub(super) fn cost(options: &RunOptions, headset: &MockConfig, settling_s: f64) 
     let sent = lab.seat().sent;
     let updates = (sent.updates - before.updates).max(1) as f64;
     let bytes = |now: u64, before: u64| (now - before) as f64 / updates;
-    Ok(Cost {
-        server_ms: (lab.seat().gpu_ms.values().sum::<f64>() - server_ms_before) / updates,
+    let device = lab.server.gpu.device_name();
+    let cost = Cost {
+        server_ms: (server_ms(&lab) - server_ms_before) / updates,
         client_ms: client_ms / f64::from(frames),
         picture_bytes: bytes(sent.atlas_bytes, before.atlas_bytes),
         other_bytes: bytes(
             sent.geometry_bytes + sent.motion.total(),
             before.geometry_bytes + before.motion.total(),
         ),
-    })
+    };
+    Ok((cost, device))
+}
+
+/// Of all viewers, since the start.
+fn server_ms(lab: &Lab) -> f64 {
+    lab.seats().flat_map(|seat| seat.gpu_ms.values()).sum()
 }

@@ -19,6 +19,7 @@ pub mod picture;
 pub mod quality;
 pub mod render_thread;
 pub mod run;
+pub mod scale;
 pub mod skinning;
 pub mod slow;
 pub mod slow_link;

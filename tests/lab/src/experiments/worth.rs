@@ -102,7 +102,7 @@ pub fn measure(dragons: u32, rounds: usize, out: PathBuf) -> anyhow::Result<Wort
         let with_first = |count| {
             let mut options = options.clone();
             options.spared.policy.measures = Some(Measures::first(count));
-            cost(&options, &headset, SETTLING_S)
+            cost(&options, &headset, SETTLING_S).map(|(cost, _)| cost)
         };
         found.push((0..=Measure::ALL.len()).map(with_first).collect::<anyhow::Result<_>>()?);
     }

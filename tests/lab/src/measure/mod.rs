@@ -4,6 +4,7 @@
 //! knows the set-up of a run and the files of its figures.
 
 pub mod compare;
+pub mod fit;
 pub mod flicker;
 pub mod flip;
 pub mod metrics;

@@ -14,6 +14,7 @@ use crate::experiments::picture;
 use crate::experiments::quality::{self, Compared};
 use crate::experiments::render_thread;
 use crate::experiments::run::run;
+use crate::experiments::scale::{self, Axis};
 use crate::experiments::skinning;
 use crate::experiments::slow;
 use crate::experiments::slow_link;
@@ -84,6 +85,8 @@ const SLOW_LINK_SECONDS: f64 = 25.0;
 /// Seconds of each run that says what a part of the picture costs, and rounds of all of them.
 const COST_SECONDS: f64 = 1.2;
 const COST_ROUNDS: usize = 3;
+/// Rounds of each run that says how cost grows.
+const SCALE_ROUNDS: usize = 3;
 /// Devices whose updates take 33, 100, 250, 700 and 1,000 ms.
 const SLOW_STAGES: StageMs =
     StageMs { server: 100.0 / 3.0, encode: 8.0 / 3.0, decode: 4.0 / 3.0, steps: None };
@@ -222,6 +225,11 @@ fn jobs() -> Vec<Job> {
             ..RunOptions::new(SceneSource::Dragons(3), folder.join("run"))
         };
         let found = costs::measure(&options, COST_ROUNDS)?;
+        println!("{found}");
+        Ok(Some(serde_json::to_value(found)?))
+    }));
+    jobs.push(Job::new("scale", |folder| {
+        let found = scale::measure(&Axis::ALL, SCALE_ROUNDS, folder)?;
         println!("{found}");
         Ok(Some(serde_json::to_value(found)?))
     }));

@@ -6,4 +6,5 @@ pub mod assets;
 pub mod leaves;
 pub mod robot;
 pub mod room;
+pub mod sheets;
 pub mod walls;

@@ -423,7 +423,12 @@ impl Lab {
         &self.lines[0].seat
     }
 
-    /// The same.
+    /// Those of all viewers, the client that ships first.
+    pub fn seats(&self) -> impl Iterator<Item = &Seat> {
+        self.lines.iter().map(|line| &line.seat)
+    }
+
+    /// The first.
     pub fn seat_mut(&mut self) -> &mut Seat {
         &mut self.lines[0].seat
     }

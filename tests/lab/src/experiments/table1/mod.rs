@@ -15,7 +15,6 @@
 
 mod bench;
 pub mod cell;
-mod fit;
 pub mod paper;
 pub mod plot;
 pub mod report;

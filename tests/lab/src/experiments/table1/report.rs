@@ -2,9 +2,9 @@
 
 use super::bench::{Measured, Stages};
 use super::cell::{Cell, Column, Mode, Set, Size};
-use super::fit::exponent;
 use super::paper::paper_row;
 use super::state::Done;
+use crate::measure::fit::exponent;
 use crate::measure::percentiles::median;
 use crate::report::text_table::table;
 use anyhow::{Context, ensure};

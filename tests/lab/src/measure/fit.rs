@@ -1,12 +1,12 @@
-//! Growth of a cost with the number of dragons.
+//! Growth of a cost with how much there is. Pure.
 
-/// The exponent `k` of `cost = c * dragons^k` that fits best: the slope of the line through the logarithms, least squares. `None`
-/// of fewer than two numbers of dragons, or of costs that are not above 0.
+/// The exponent `k` of `cost = c * amount^k` that fits best: the slope of the line through the logarithms, least squares. `None`
+/// of fewer than two amounts, or of costs that are not above 0.
 pub fn exponent(points: &[(f64, f64)]) -> Option<f64> {
-    if points.iter().any(|(dragons, cost)| *dragons <= 0.0 || *cost <= 0.0 || !cost.is_finite()) {
+    if points.iter().any(|(amount, cost)| *amount <= 0.0 || *cost <= 0.0 || !cost.is_finite()) {
         return None;
     }
-    let logs: Vec<(f64, f64)> = points.iter().map(|(dragons, cost)| (dragons.ln(), cost.ln())).collect();
+    let logs: Vec<(f64, f64)> = points.iter().map(|(amount, cost)| (amount.ln(), cost.ln())).collect();
     let mean = |of: fn(&(f64, f64)) -> f64| logs.iter().map(of).sum::<f64>() / logs.len() as f64;
     let (x, y) = (mean(|log| log.0), mean(|log| log.1));
     let spread: f64 = logs.iter().map(|log| (log.0 - x).powi(2)).sum();
