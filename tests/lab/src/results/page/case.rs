@@ -100,7 +100,11 @@ fn worse(groups: &[Group], bars: &Report) -> String {
 }
 
 fn name((group, point, ratio): &Compared) -> String {
-    format!("{} at {} ms (the atlas has {ratio:.2} of its error)", group.setting.title(), point.latency_ms)
+    let rate = group.setting.rate_mbit.map_or_else(String::new, |rate| format!(" and {rate} Mbit/s"));
+    format!(
+        "{} at {} ms{rate} (the atlas has {ratio:.2} of its error)",
+        group.setting.scene, point.latency_ms
+    )
 }
 
 #[cfg(test)]

@@ -5,6 +5,9 @@
 use crate::report::page::escaped;
 use std::fmt::Write;
 
+/// Longer cells break into lines, bytes.
+const LONG_CELL: usize = 40;
+
 /// Pictures inside a page need no namespace, and the page names no address.
 pub(super) const SVG_NAMESPACE: &str = " xmlns=\"http://www.w3.org/2000/svg\"";
 
@@ -80,7 +83,8 @@ fn table(label: &str, rows: &[Vec<&str>]) -> String {
             let _ = if column == 0 {
                 write!(out, "<th scope=\"row\">{text}</th>")
             } else {
-                write!(out, "<td>{text}</td>")
+                let class = if cell.len() > LONG_CELL { " class=\"long\"" } else { "" };
+                write!(out, "<td{class}>{text}</td>")
             };
         }
         out += "</tr>\n";

@@ -40,6 +40,9 @@ struct Section {
 pub fn write(results: &Path, pictures: Option<&Path>, out: &Path) -> anyhow::Result<usize> {
     anyhow::ensure!(results.is_dir(), "{} is no folder of results", results.display());
     let html = page(results, pictures)?;
+    if let Some(folder) = out.parent() {
+        std::fs::create_dir_all(folder).with_context(|| format!("making {}", folder.display()))?;
+    }
     shadecast_system::write_atomically(out, html.as_bytes())
         .with_context(|| format!("writing {}", out.display()))?;
     Ok(html.len())

@@ -40,8 +40,11 @@ pub(super) fn section(groups: &[Group]) -> anyhow::Result<String> {
     for group in groups {
         out += &over_latency(group, &names)?;
     }
-    out += &over_rate(groups, &names)?;
     out += "</div>\n";
+    let over_rate = over_rate(groups, &names)?;
+    if !over_rate.is_empty() {
+        out += &folded("FLIP over rate", &format!("<div class=\"plots\">\n{over_rate}</div>\n"));
+    }
     for group in groups {
         let title = group.setting.title();
         let _ = writeln!(out, "<h3>{}</h3>", escaped(&title));
