@@ -96,7 +96,7 @@ fn sections(
         section("pictures", "Pictures of a headset's size", sections::pictures(committed)?, &["picture-"]),
         section("bits", "Bits by cause", sections::bits(committed), &["picture-"]),
         section("memory", "Memory and its traffic", sections::memory(committed)?, &[]),
-        section("bars", "Bars", sections::bars(bars), &[]),
+        section("bars", "Bars", sections::bars(bars), &sections::records_of_missed(bars)),
     ])
 }
 

@@ -35,9 +35,9 @@ pub(super) fn table1(committed: &Committed) -> anyhow::Result<String> {
         let svg = svg.replacen(SVG_NAMESPACE, "", 1);
         let named = format!("<svg class=\"drawn\" role=\"img\" aria-label=\"{}\"", escaped(caption));
         let svg = svg.replacen("<svg", &named, 1);
-        let _ = write!(
+        let _ = writeln!(
             out,
-            "<figure>{}<figcaption>{}</figcaption></figure>\n",
+            "<figure>{}<figcaption>{}</figcaption></figure>",
             scrolling(caption, &svg),
             escaped(caption)
         );
@@ -173,7 +173,9 @@ pub(super) fn bits(committed: &Committed) -> String {
 
 /// Memory of a client, and what a frame moves in it.
 pub(super) fn memory(committed: &Committed) -> anyhow::Result<String> {
-    Ok(of_documents("memory", "Device memory of a client with the usual room", committed)?
+    let counted = "Counted from the layouts of the client's compiled shaders and its usual room, on no device. `shadecast-lab figures` prints it.";
+    Ok(paragraph(counted)
+        + &of_documents("memory", "Device memory of a client with the usual room", committed)?
         + &of_documents("budget", "What a display frame moves in memory", committed)?)
 }
 
@@ -197,6 +199,19 @@ pub(super) fn bars(report: &Report) -> String {
         markdown("Bars that are missed", &table),
         folded(&format!("{} bars that are met", met.len()), &markdown("Bars that are met", &held))
     )
+}
+
+/// Names of the records that miss bars.
+pub(super) fn records_of_missed(report: &Report) -> Vec<&str> {
+    let mut names: Vec<&str> = report
+        .0
+        .iter()
+        .filter(|verdict| verdict.fails())
+        .filter_map(|verdict| Some(verdict.figure.split_once(": ")?.0))
+        .collect();
+    names.sort_unstable();
+    names.dedup();
+    names
 }
 
 #[cfg(test)]
