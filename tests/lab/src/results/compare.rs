@@ -3,7 +3,7 @@
 //! Two records enter. A line for each figure that changed leaves, with better or worse where its metric has a direction, and a
 //! count of regressions. Nothing here knows bars: a figure is compared with its earlier self alone.
 
-use super::records;
+use super::{records, texts_under};
 use crate::report::text_table::table;
 use anyhow::{Context, ensure};
 use serde_json::Value;
@@ -122,6 +122,8 @@ pub struct Compared {
     pub name: String,
     /// Both commits, where the records say them.
     pub commits: [Option<String>; 2],
+    /// Their commands differ: a change may be one of options.
+    pub has_other_commands: bool,
     /// How many figures both have.
     pub figures: usize,
     /// Those that changed beyond noise.
@@ -169,10 +171,11 @@ pub fn compare(before: &Path, after: &Path) -> anyhow::Result<Comparison> {
 fn compared(name: &str, before: &Value, after: &Value) -> Compared {
     let commit = |record: &Value| record["commit"].as_str().map(str::to_owned);
     let commits = [commit(before), commit(after)];
+    let has_other_commands = texts_under(before, "command") != texts_under(after, "command");
     let (before, after) = (figures(before), figures(after));
     let both = before.keys().filter(|path| after.contains_key(*path)).count();
     let changes = before.iter().filter_map(|(path, before)| change(path, *before, after.get(path).copied()));
-    Compared { name: name.to_owned(), commits, figures: both, changes: changes.collect() }
+    Compared { name: name.to_owned(), commits, has_other_commands, figures: both, changes: changes.collect() }
 }
 
 /// `None` where it is the same, within noise.
@@ -278,7 +281,8 @@ impl fmt::Display for Compared {
     fn fmt(&self, out: &mut fmt::Formatter<'_>) -> fmt::Result {
         let [before, after] =
             [0, 1].map(|side| self.commits[side].as_deref().unwrap_or("a commit that is not recorded"));
-        writeln!(out, "{}: {before} -> {after}", self.name)?;
+        let options = if self.has_other_commands { ", with other commands: options count too" } else { "" };
+        writeln!(out, "{}: {before} -> {after}{options}", self.name)?;
         let row = |change: &Change| {
             let verdict = match change.verdict {
                 Verdict::Better => "better",
@@ -359,13 +363,13 @@ mod tests {
         let write = |folder: &tempfile::TempDir, name: &str, record: Value| {
             std::fs::write(folder.path().join(name), record.to_string()).expect("written");
         };
-        write(&before, "run.json", json!({"commit": "aaa", "flip": 0.05, "ssim": 0.9}));
+        write(&before, "run.json", json!({"commit": "aaa", "command": "a", "flip": 0.05, "ssim": 0.9}));
         write(&after, "run.json", json!({"commit": "bbb", "flip": 0.07, "ssim": null}));
         write(&before, "old.json", json!({"flip": 1.0}));
         let found = compare(before.path(), after.path()).expect("two folders");
         assert_eq!(found.regressions(), 2);
         let text = found.to_string();
-        for said in ["run: aaa -> bbb", "WORSE", "GONE", "only in the first: old"] {
+        for said in ["run: aaa -> bbb, with other commands", "WORSE", "GONE", "only in the first: old"] {
             assert!(text.contains(said), "{said} is missing in {text}");
         }
         assert!(compare(before.path(), &after.path().join("run.json")).is_err());

@@ -28,3 +28,18 @@ fn records(folder: &Path) -> BTreeMap<String, Value> {
     };
     entries.filter_map(record).collect()
 }
+
+/// All texts under a key of a record, such as its commands, wherever they are.
+fn texts_under<'a>(record: &'a Value, key: &str) -> Vec<&'a str> {
+    match record {
+        Value::Object(fields) => fields
+            .iter()
+            .flat_map(|(field, value)| match value.as_str() {
+                Some(text) if field == key => vec![text],
+                _ => texts_under(value, key),
+            })
+            .collect(),
+        Value::Array(list) => list.iter().flat_map(|value| texts_under(value, key)).collect(),
+        _ => Vec::new(),
+    }
+}

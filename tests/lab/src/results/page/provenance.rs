@@ -5,13 +5,12 @@
 use super::html::{folded, inline, markdown, preformatted};
 use crate::results::figures;
 use crate::results::sources::{Checkout, git};
+use crate::results::texts_under;
 use serde_json::Value;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 const NOT_RECORDED: &str = "not recorded";
-/// A device and its commands lie at most so deep in a record.
-const DEPTH: usize = 6;
 
 /// All committed records.
 pub(super) struct Committed {
@@ -114,37 +113,16 @@ fn commit(record: &Value) -> Option<&str> {
 
 /// The first text under a key, wherever it is.
 fn said(record: &Value, key: &str) -> Option<String> {
-    let mut found = Vec::new();
-    collect(record, key, DEPTH, &mut found);
-    found.into_iter().next()
+    texts_under(record, key).into_iter().next().map(str::to_owned)
 }
 
 /// What repeats a record: its own commands, or the long run that makes it.
 fn commands(name: &str, record: &Value) -> String {
-    let mut found = Vec::new();
-    collect(record, "command", DEPTH, &mut found);
+    let found = texts_under(record, "command");
     if found.is_empty() {
-        found.push(format!("./shadecast test --long --only {name}"));
+        return format!("# {name}\n./shadecast test --long --only {name}\n");
     }
     format!("# {name}\n{}\n", found.join("\n"))
-}
-
-fn collect(value: &Value, key: &str, depth: usize, found: &mut Vec<String>) {
-    if depth == 0 {
-        return;
-    }
-    match value {
-        Value::Object(fields) => {
-            for (field, value) in fields {
-                match value.as_str() {
-                    Some(text) if field == key => found.push(text.to_owned()),
-                    _ => collect(value, key, depth - 1, found),
-                }
-            }
-        }
-        Value::Array(list) => list.iter().for_each(|value| collect(value, key, depth - 1, found)),
-        _ => {}
-    }
 }
 
 #[cfg(test)]
