@@ -75,7 +75,7 @@ const KINDS: [Kind; 16] = [
 ];
 
 /// Of these a record has several, and ours is not among them: they may become better.
-const RIVALS: [&str; 3] = ["videos", "methods", "paper_fps"];
+const RIVALS: [&str; 4] = ["others", "videos", "methods", "paper_fps"];
 
 fn kind_of(path: &str) -> &'static Kind {
     let fits = |part: &str| {
@@ -239,7 +239,7 @@ fn name(row: &Value) -> String {
             Value::Number(number) if NUMBERS.contains(&key.as_str()) => words.push(number.to_string()),
             Value::Bool(true) => words.push(key.clone()),
             // Settings of a way.
-            Value::Object(_) if key == "video" => words.push(name(value)),
+            Value::Object(_) if ["video", "method"].contains(&key.as_str()) => words.push(name(value)),
             _ => {}
         }
     }
@@ -350,7 +350,7 @@ mod tests {
     fn a_better_video_is_no_regression() {
         let of = |flip: f64, ours: f64| {
             json!({"links": [{"link": "latency=20ms", "ours": {"flip": ours},
-            "videos": [{"video": {"rate_hz": 30.0, "has_depth": true}, "flip": flip}]}]})
+            "videos": [{"method": {"video": {"rate_hz": 30.0, "has_depth": true}}, "flip": flip}]}]})
         };
         let found = verdicts(&of(0.08, 0.06), &of(0.07, 0.06));
         assert_eq!(found, [("links/latency=20ms/videos/has_depth, 30.0/flip".to_owned(), Verdict::Changed)]);

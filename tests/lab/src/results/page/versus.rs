@@ -189,7 +189,8 @@ fn name_of(list: &str, row: &Value) -> String {
     if let Some(name) = named {
         return spaced(name);
     }
-    let Some(settings) = row["video"].as_object() else { return spaced(list.trim_end_matches('s')) };
+    let settings = row["method"]["video"].as_object().or_else(|| row["video"].as_object());
+    let Some(settings) = settings else { return spaced(list.trim_end_matches('s')) };
     let words = settings.iter().filter_map(|(key, value)| match value {
         Value::Bool(true) => Some(spaced(key.strip_prefix("has_").unwrap_or(key))),
         Value::String(word) => Some(spaced(word)),
@@ -215,6 +216,7 @@ fn method(name: &str, row: &Value) -> Option<Method> {
 #[cfg(test)]
 pub(super) mod tests {
     use super::*;
+    use crate::experiments::quality::{self, OverLink, Quality, Video};
     use serde_json::json;
 
     /// A row of a method; the video's settings where it is one.
@@ -279,6 +281,41 @@ pub(super) mod tests {
         }
         let (ours, video) = groups[0].points[0].rivals().expect("both");
         assert_eq!((ours.flip, video.flip), (0.061, 0.05));
+    }
+
+    #[test]
+    fn a_record_of_the_experiment_is_understood() {
+        let row = |method: quality::Method, flip: f64| quality::Row {
+            method,
+            command: "shadecast-lab run dragons:9 --size 400x400 --bitrate 6".to_owned(),
+            mbit_per_s: 6.0,
+            qp: Some(24.0),
+            flip,
+            flip_worst: flip,
+            flip_at_view: flip,
+            psnr_db: [30.0, 28.0],
+            ssim: 0.9,
+            hole_fraction: None,
+            flicker: None,
+            animated_flip: None,
+        };
+        let video =
+            |has_depth| quality::Method::Video(Video { rate_hz: 30.0, margin_degrees: 5.0, has_depth });
+        let link = OverLink {
+            link: quality::link(20.0),
+            ours: row(quality::Method::Atlas, 0.06),
+            others: quality::Method::OTHERS.map(|method| row(method, 0.08)).to_vec(),
+            videos: vec![row(video(true), 0.07), row(video(false), 0.1)],
+            flip_ratio: 0.06 / 0.07,
+        };
+        let record = Quality { scene: "dragons:9".into(), head: "stride".into(), links: vec![link] };
+        let record = serde_json::to_value(record).expect("JSON");
+        let groups = groups(&[("quality-dragons9-20ms".to_owned(), record)].into());
+        assert_eq!(groups[0].setting.title(), "dragons:9, head \"stride\", 400x400 pixels an eye, 6 Mbit/s");
+        let names: Vec<&str> =
+            groups[0].points[0].methods.iter().map(|method| method.name.as_str()).collect();
+        let others = ["atlas without prediction", "atlas as paper"];
+        assert_eq!(names, [ATLAS, others[0], others[1], "video with depth", VIDEO]);
     }
 
     #[test]
