@@ -2,7 +2,7 @@
 
 use shadecast_system::PendingFile;
 use std::fs::File;
-use std::io::{BufReader, BufWriter};
+use std::io::{BufReader, BufWriter, Write};
 use std::path::{Path, PathBuf};
 
 use thiserror::Error;
@@ -147,16 +147,27 @@ impl Rgb8Image {
     pub fn write_png(&self, path: &Path) -> Result<(), ImageError> {
         let open = |reason| ImageError::Open { path: path.into(), reason };
         let mut file = PendingFile::create(path).map_err(open)?;
-        self.encode(&mut file).map_err(|reason| ImageError::Encode { path: path.into(), reason })?;
+        self.encode(BufWriter::new(&mut file), png::Compression::Fast)
+            .map_err(|reason| ImageError::Encode { path: path.into(), reason })?;
         file.commit().map_err(open)
     }
 
-    fn encode(&self, file: &mut PendingFile) -> Result<(), png::EncodingError> {
-        let mut encoder = png::Encoder::new(BufWriter::new(file), self.width, self.height);
+    /// The picture as a small PNG in memory.
+    ///
+    /// # Errors
+    /// The extent is none that PNG has.
+    pub fn png(&self) -> Result<Vec<u8>, png::EncodingError> {
+        let mut bytes = Vec::new();
+        self.encode(&mut bytes, png::Compression::High)?;
+        Ok(bytes)
+    }
+
+    fn encode(&self, out: impl Write, compression: png::Compression) -> Result<(), png::EncodingError> {
+        let mut encoder = png::Encoder::new(out, self.width, self.height);
         encoder.set_color(png::ColorType::Rgb);
         encoder.set_depth(png::BitDepth::Eight);
         encoder.set_source_srgb(png::SrgbRenderingIntent::Perceptual);
-        encoder.set_compression(png::Compression::Fast);
+        encoder.set_compression(compression);
         let mut writer = encoder.write_header()?;
         writer.write_image_data(&self.data)?;
         writer.finish()

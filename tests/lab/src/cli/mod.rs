@@ -6,6 +6,7 @@
 mod abrupt;
 mod bars;
 mod causes;
+mod compare;
 mod demo;
 mod detail;
 mod device;
@@ -19,6 +20,7 @@ mod motion;
 mod neighbours;
 mod quality;
 mod render_thread;
+mod report;
 mod run;
 mod scale;
 mod skinning;
@@ -31,6 +33,7 @@ use anyhow::Context;
 use clap::{Parser, Subcommand};
 use serde::Serialize;
 use shadecast_lab::hostile::traffic::record;
+use shadecast_lab::results::sources::freshness;
 use shadecast_lab::results::{figures, long};
 use shadecast_lab::scenes::robot::robot;
 use shadecast_lab::scenes::room::{MANY_VASES, write_room};
@@ -116,6 +119,10 @@ enum Command {
         #[arg(long, default_value = ".")]
         root: PathBuf,
     },
+    /// Writes one page of HTML from the committed results: curves, tables, pictures, bars, and where each figure comes from
+    Report(report::ReportArgs),
+    /// Says what changed between two results or folders of results; fails where a figure became worse beyond noise
+    Compare(compare::CompareArgs),
     /// Writes the stiff character of the long runs: boxes on joints, wide steps between 24 keys a second
     Robot {
         /// The .glb file
@@ -185,7 +192,13 @@ pub(crate) fn run() -> anyhow::Result<()> {
         Command::Long { out, only: Some(only) } => long::run_all(&out, &only),
         Command::Long { out, only: None } => long::run_all(&out, "").and_then(|()| bars::run(&out, None)),
         Command::Bars { out, bars } => bars::run(&out, bars.as_deref()),
-        Command::Figures { root } => figures::write(&root),
+        Command::Figures { root } => {
+            figures::write(&root)?;
+            println!("{}", freshness(&root.join(figures::RESULTS)));
+            Ok(())
+        }
+        Command::Report(args) => report::run(&args),
+        Command::Compare(args) => compare::run(&args),
         Command::Robot { out } => {
             std::fs::write(&out, robot()).with_context(|| format!("writing {}", out.display()))
         }

@@ -172,7 +172,7 @@ impl fmt::Display for Report {
 }
 
 /// Four digits that count.
-fn short(value: f64) -> String {
+pub(super) fn short(value: f64) -> String {
     if value == 0.0 || !value.is_finite() {
         return value.to_string();
     }

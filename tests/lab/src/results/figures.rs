@@ -19,10 +19,11 @@ use std::path::Path;
 const BEGIN: &str = "<!-- figures ";
 const BEGIN_END: &str = " -->\n";
 const END: &str = "<!-- /figures -->";
-/// The documents with tables, from the project's root, and where the results are.
+/// The documents with tables, from the project's root.
 const DOCUMENTS: [&str; 5] =
     ["README.md", "docs/figures.md", "docs/causes.md", "docs/table1.md", "docs/budget.md"];
-const RESULTS: &str = "docs/results";
+/// Folder of the results, from the project's root.
+pub const RESULTS: &str = "docs/results";
 const KEYS: &str = "docs/keys.svg";
 const KEYS_RESULT: &str = "inspect-error-dragon";
 const TABLE1_RESULT: &str = "table1";
@@ -34,7 +35,7 @@ const TABLE1_PLOTS: [(&str, Plot); 2] =
 type Plot = fn(&Value) -> anyhow::Result<String>;
 
 /// What stands for a table whose result is not there.
-const NOT_MEASURED: &str = "Not measured yet.\n";
+pub(super) const NOT_MEASURED: &str = "Not measured yet.\n";
 
 /// Results and what people call them.
 const SCENES: [(&str, &str); 10] = [
@@ -51,7 +52,7 @@ const SCENES: [(&str, &str); 10] = [
 ];
 
 /// Those that are looked at in pictures of a headset's size.
-const PICTURES: [(&str, &str); 4] = [
+pub(super) const PICTURES: [(&str, &str); 4] = [
     ("dragons9", "nine dragons"),
     ("cesium-man", "`CesiumMan.glb`"),
     ("helmet", "`DamagedHelmet.glb`, still"),
@@ -94,7 +95,8 @@ fn filled(text: &str, results: &Path) -> anyhow::Result<String> {
     Ok(out + rest)
 }
 
-fn table(name: &str, results: &Path) -> anyhow::Result<String> {
+/// A table of the documents, as Markdown.
+pub(super) fn table(name: &str, results: &Path) -> anyhow::Result<String> {
     Ok(match name {
         "scenes" => scenes(&SCENES, &LONG, |scene| format!("{scene}-512"), results),
         "scenes-slow" => scenes(&SCENES, &LONG, |scene| format!("{scene}-512-slow"), results),
@@ -141,13 +143,13 @@ fn printed<T: DeserializeOwned + Display>(name: &str, results: &Path) -> anyhow:
 }
 
 /// A number at a way of keys, with so many decimals; `-` where there is none.
-fn number(value: &Value, way: &str, factor: f64, decimals: usize) -> String {
+pub(super) fn number(value: &Value, way: &str, factor: f64, decimals: usize) -> String {
     let found = way.split('.').fold(value, |value, key| &value[key]);
     found.as_f64().map_or_else(|| "-".to_owned(), |found| format!("{:.decimals$}", found * factor))
 }
 
 /// A table of Markdown.
-fn markdown(heads: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
+pub(super) fn markdown(heads: &[&str], rows: impl IntoIterator<Item = Vec<String>>) -> String {
     let line = |cells: String| format!("|{cells}\n");
     let mut out = line(heads.iter().map(|head| format!(" {head} |")).collect());
     out += &line(heads.iter().map(|_| " --- |").collect());
@@ -217,7 +219,7 @@ fn scenes(
     markdown(&heads, scenes.iter().filter_map(row))
 }
 
-fn cell_of(pattern: &str, value: &Value) -> String {
+pub(super) fn cell_of(pattern: &str, value: &Value) -> String {
     let (mut out, mut rest) = (String::new(), pattern);
     while let Some((before, after)) = rest.split_once('{') {
         let (what, after) = after.split_once('}').expect("columns are constants");

@@ -22,6 +22,7 @@ use crate::experiments::table1::cell::Size;
 use crate::experiments::table1::{self, Table1Options};
 use crate::experiments::viewers::among_others;
 use crate::experiments::worth;
+use crate::results::sources::Checkout;
 use crate::scenes::assets::asset;
 use crate::scenes::robot::robot;
 use crate::scenes::room::{MANY_VASES, write_room};
@@ -135,6 +136,9 @@ impl Job {
         let Some(mut value) = value? else { return Ok(()) };
         if let Some(fields) = value.as_object_mut() {
             fields.insert("commit".into(), commit().into());
+            if let Some(checkout) = Checkout::read(Path::new(".")) {
+                fields.insert("sources".into(), checkout.sources(name).into());
+            }
         }
         write_whole(&result, &(serde_json::to_string_pretty(&value)? + "\n"))?;
         println!("{name}: {:.0} s", started.elapsed().as_secs_f64());
