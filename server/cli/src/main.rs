@@ -60,7 +60,7 @@ const DEFAULT_RATE_HZ: f64 = 30.0;
   shadecast-server doctor --listen 0.0.0.0:7400
   shadecast-server generate dragon --out dragon.glb
 
-SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml)."
+SCENE is courtyard, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml)."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -106,7 +106,7 @@ struct DeviceArgs {
 
 #[derive(Args)]
 struct StreamArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// UDP address to listen on; 0.0.0.0:7400 for headsets on the network
     #[arg(long, default_value = DEFAULT_LISTEN)]
