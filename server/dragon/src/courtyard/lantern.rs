@@ -34,7 +34,7 @@ pub(crate) fn lantern() -> Vec<u8> {
         iron.append(bar(&ends, 5, 1.0));
     }
     let glass = turned(Vec3::ZERO, &GLASS, SIDES, 1.0);
-    let shining = Material { glow: [7.0, 3.9, 1.3], ..Material::plain("glass", [0.5, 0.4, 0.25], 0.3) };
+    let shining = Material { glow: [3.4, 1.7, 0.5], ..Material::plain("glass", [0.5, 0.4, 0.25], 0.3) };
     let pieces = vec![
         Piece {
             material: Material { metallic: 0.6, ..Material::plain("iron", [0.06, 0.055, 0.05], 0.55) },
@@ -42,6 +42,6 @@ pub(crate) fn lantern() -> Vec<u8> {
         },
         Piece { material: shining, surface: glass },
     ];
-    let lamp = Lamp { at: vec3(0.0, 2.3, 0.0), intensity: vec3(1.0, 0.58, 0.24) * 9.0, range_m: 8.0 };
+    let lamp = Lamp { at: vec3(0.0, 2.3, 0.0), intensity: vec3(1.0, 0.56, 0.22) * 11.0, range_m: 9.0 };
     export::glb("lantern", pieces, Some(lamp), |_| 1.0)
 }

@@ -13,8 +13,8 @@ const HALF_WIDTH_M: f32 = 5.0;
 const NEAR_M: f32 = 1.2;
 const FAR_M: f32 = -9.0;
 const THICKNESS_M: f32 = 0.6;
-const HEIGHT_M: f32 = 3.3;
-const FAR_HEIGHT_M: f32 = 3.9;
+const HEIGHT_M: f32 = 3.6;
+const FAR_HEIGHT_M: f32 = 4.6;
 /// Height of the landing at the far gate.
 const LANDING_M: f32 = 0.45;
 /// From the walls to the end of the grass.
@@ -112,7 +112,7 @@ fn left() -> Face {
         along: Vec3::NEG_Z,
         length_m: NEAR_M - FAR_M,
         height_m: HEIGHT_M,
-        openings: (0..4u8).map(|arc| arch(1.275 + 2.55 * f32::from(arc), 1.8, 0.7, 1.7)).collect(),
+        openings: (0..4u8).map(|arc| arch(1.275 + 2.55 * f32::from(arc), 1.8, 0.7, 1.9)).collect(),
     }
 }
 
@@ -123,7 +123,7 @@ fn far() -> Face {
         along: Vec3::X,
         length_m: 2.0 * HALF_WIDTH_M,
         height_m: FAR_HEIGHT_M,
-        openings: vec![niche(2.1, 1.0, 0.9, 1.9), arch(5.0, 2.0, LANDING_M, 1.95), niche(7.9, 1.0, 0.9, 1.9)],
+        openings: vec![niche(2.1, 1.1, 1.0, 2.3), arch(5.0, 2.3, LANDING_M, 2.3), niche(7.9, 1.1, 1.0, 2.3)],
     }
 }
 
@@ -134,7 +134,7 @@ fn right() -> Face {
         along: Vec3::Z,
         length_m: NEAR_M - FAR_M,
         height_m: HEIGHT_M,
-        openings: [1.9, 5.1, 8.3].map(|middle_m| niche(middle_m, 1.9, 0.0, 1.6)).to_vec(),
+        openings: [1.9, 5.1, 8.3].map(|middle_m| niche(middle_m, 1.9, 0.0, 1.9)).to_vec(),
     }
 }
 
@@ -145,7 +145,7 @@ fn near() -> Face {
         along: Vec3::NEG_X,
         length_m: 2.0 * HALF_WIDTH_M,
         height_m: HEIGHT_M,
-        openings: vec![arch(HALF_WIDTH_M, 1.8, 0.0, 1.75)],
+        openings: vec![arch(HALF_WIDTH_M, 1.8, 0.0, 1.85)],
     }
 }
 

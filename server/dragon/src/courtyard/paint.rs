@@ -63,11 +63,13 @@ pub(super) fn stone() -> Painted {
         let warm = chance(number, course, 3) - 0.5;
         let block_color = vec3(0.70, 0.60, 0.46) * tint + warm * vec3(0.05, 0.0, -0.05);
         let mortar = vec3(0.52, 0.47, 0.40);
-        let color = mortar.lerp(block_color, face) * lerp(0.78, 1.16, cloud);
+        let color = mortar.lerp(block_color, face)
+            * lerp(0.78, 1.16, cloud)
+            * lerp(0.92, 1.08, fine(at, STONE_M, 16));
         let moss = smoothstep(0.60, 0.80, clouds(at, STONE_M, 14) + 0.14 * (1.0 - face));
         Texel {
             color: color.lerp(MOSS * lerp(0.7, 1.2, fine(at, STONE_M, 15)), 0.75 * moss),
-            height_m: 0.011 * face + 0.007 * cloud + 0.002 * fine(at, STONE_M, 16),
+            height_m: 0.011 * face + 0.007 * cloud + 0.003 * fine(at, STONE_M, 16),
         }
     })
 }

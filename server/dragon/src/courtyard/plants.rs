@@ -138,7 +138,7 @@ pub(crate) fn ivy() -> Vec<u8> {
 
 /// The bytes of a GLB file with a cypress, 5 m tall, standing on y = 0.
 pub(crate) fn cypress() -> Vec<u8> {
-    const CARDS: u16 = 330;
+    const CARDS: u16 = 480;
     const HEIGHT_M: f32 = 5.0;
     const RADIUS_M: f32 = 0.6;
     const SEED: i32 = 100;

@@ -66,10 +66,10 @@ fn walls_have_no_gaps_around_their_openings() {
         }
     }
     let is_rim = |at: &Vec3| {
-        let off_gate = (at.x.hypot(at.y.max(1.95) - 1.95) - 1.0).abs();
-        let off_niche = ((at.x.abs() - 2.9).hypot(at.y.max(1.9) - 1.9) - 0.5).abs();
-        let off_sill = (at.y - 0.45).abs().min((at.y - 0.9).abs());
-        off_gate.min(off_niche) < 0.03 || off_sill < 1e-3 || at.x.abs() > 4.999 || at.y < 1e-3 || at.y > 3.899
+        let off_gate = (at.x.hypot(at.y.max(2.3) - 2.3) - 1.15).abs();
+        let off_niche = ((at.x.abs() - 2.9).hypot(at.y.max(2.3) - 2.3) - 0.55).abs();
+        let off_sill = (at.y - 0.45).abs().min((at.y - 1.0).abs());
+        off_gate.min(off_niche) < 0.03 || off_sill < 1e-3 || at.x.abs() > 4.999 || at.y < 1e-3 || at.y > 4.599
     };
     let open: Vec<Vec3> = edges.values().filter(|(count, _)| *count == 1).map(|(_, at)| *at).collect();
     assert!(!open.is_empty() && open.iter().all(is_rim), "{:?}", open.iter().find(|at| !is_rim(at)));

@@ -6,7 +6,7 @@ use glam::{Vec2, Vec3};
 use std::f32::consts::PI;
 
 /// Pieces of half a circle.
-const ARCH_PIECES: u16 = 10;
+const ARCH_PIECES: u16 = 14;
 /// Heights of a line that are nearer to each other than this are one, metres.
 const MERGED_M: f32 = 0.08;
 
@@ -127,10 +127,12 @@ impl Face {
         made
     }
 
-    /// A band of stones around each arch, which stands out from the face.
+    /// A band of stones around each arch, which stands out from the face, and the two stones that it rests on.
     pub fn bands(&self, texture_m: f32) -> Surface {
         const WIDTH_M: f32 = 0.24;
         const OUT_M: f32 = 0.035;
+        const REST_M: f32 = 0.03;
+        const REST_HEIGHT_M: f32 = 0.15;
         let mut made = Surface::default();
         for opening in &self.openings {
             let inner_m = opening.radius_m() - 0.012;
@@ -150,7 +152,31 @@ impl Face {
             side([inner_m, 0.1], [inner_m, -OUT_M]);
             side([inner_m, -OUT_M], [outer_m, -OUT_M]);
             side([outer_m, -OUT_M], [outer_m, 0.0]);
+            let size_m = [WIDTH_M + 2.0 * REST_M, REST_HEIGHT_M, OUT_M + REST_M];
+            for left_m in [-outer_m - REST_M, inner_m - REST_M] {
+                let low = [opening.middle_m + left_m, opening.spring_m - REST_HEIGHT_M];
+                made.append(self.ledge(low, size_m, texture_m));
+            }
         }
+        made
+    }
+
+    /// A stone that stands out from the face: its lower left corner there, and its width, height and depth.
+    fn ledge(
+        &self,
+        [left_m, low_m]: [f32; 2],
+        [width_m, height_m, out_m]: [f32; 3],
+        texture_m: f32,
+    ) -> Surface {
+        let behind_m = 0.12;
+        let corner = self.at(left_m, low_m, -out_m);
+        let [right, up] = [self.along * width_m, Vec3::Y * height_m];
+        let into = -self.normal() * (out_m + behind_m);
+        let mut made = rectangle(corner, right, up, texture_m);
+        made.append(rectangle(corner + right, into, up, texture_m));
+        made.append(rectangle(corner + into, -into, up, texture_m));
+        made.append(rectangle(corner + up, right, into, texture_m));
+        made.append(rectangle(corner + into, right, -into, texture_m));
         made
     }
 
