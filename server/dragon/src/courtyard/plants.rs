@@ -25,8 +25,8 @@ const IVY_TWIG: Twig = Twig {
     seed: 71,
 };
 const CYPRESS_TWIG: Twig = Twig {
-    leaves: 34,
-    leaf: [0.34, 0.06],
+    leaves: 60,
+    leaf: [0.34, 0.08],
     colors: [vec3(0.10, 0.17, 0.08), vec3(0.24, 0.31, 0.14)],
     seed: 72,
 };
