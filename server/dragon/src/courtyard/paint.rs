@@ -183,8 +183,9 @@ impl Twig {
         const TEXELS: u32 = 256;
         let texel = |index: u32| {
             let at = Vec2::new((index % TEXELS) as f32 + 0.5, (index / TEXELS) as f32 + 0.5) / TEXELS as f32;
-            let [r, g, b] = bytes(self.color(at).unwrap_or(self.colors[0].lerp(self.colors[1], 0.35)));
-            [r, g, b, if self.color(at).is_some() { 255 } else { 0 }]
+            let leaf = self.color(at);
+            let [r, g, b] = bytes(leaf.unwrap_or(self.colors[0].lerp(self.colors[1], 0.35)));
+            [r, g, b, if leaf.is_some() { 255 } else { 0 }]
         };
         let rgba: Vec<u8> = (0..TEXELS * TEXELS).flat_map(texel).collect();
         Painted { color_png: picture::png(&rgba, TEXELS), normal_png: None }
