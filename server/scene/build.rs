@@ -1,13 +1,17 @@
-//! Hashes the sources of this crate into `SHADECAST_SCENE_SOURCES`, so that cached results of other sources are not taken.
+//! Hashes the sources of this crate, and of the built-in models, into `SHADECAST_SCENE_SOURCES`, so that cached results of other sources are not taken.
 
 use std::hash::{DefaultHasher, Hash, Hasher};
 use std::path::Path;
 
+const SOURCES: [&str; 2] = ["src", "../dragon/src"];
+
 fn main() {
     let mut hasher = DefaultHasher::new();
-    add(Path::new("src"), &mut hasher);
+    for folder in SOURCES {
+        add(Path::new(folder), &mut hasher);
+        println!("cargo::rerun-if-changed={folder}");
+    }
     println!("cargo::rustc-env=SHADECAST_SCENE_SOURCES={:016x}", hasher.finish());
-    println!("cargo::rerun-if-changed=src");
     println!("cargo::rerun-if-changed=build.rs");
 }
 

@@ -21,7 +21,7 @@ use std::path::{Path, PathBuf};
 
 #[derive(Args)]
 pub(crate) struct ForwardArgs {
-    /// Scene: dragon, dragons:N, a .glb, .gltf or .fbx file, or a .toml scene
+    /// Scene: courtyard, dragons:N, a .glb, .gltf or .fbx file, or a .toml scene
     scene: String,
     /// Folder for forward-NNNNNN.png, a video FILE.y4m or FILE.mp4, or - for Y4M on standard output
     #[arg(long, required_unless_present = "window")]

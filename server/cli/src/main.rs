@@ -13,7 +13,7 @@ use glam::Vec3;
 use interrupt::FirstSignal;
 use output::{Output, note};
 use shadecast_desktop::flags::{MOST_S, number};
-use shadecast_dragon::dragon;
+use shadecast_dragon::BuiltIn;
 use shadecast_gpu::{DesktopDevice, Gpu};
 use shadecast_protocol::limits::MAX_COORDINATE_M;
 use shadecast_protocol::text::{printable, with_causes};
@@ -47,7 +47,7 @@ const DEFAULT_RATE_HZ: f64 = 30.0;
     name = "shadecast-server",
     version,
     after_help = "Examples:
-  shadecast-server stream dragons:3
+  shadecast-server stream courtyard
   shadecast-server stream castle.toml --listen 0.0.0.0:7400
   shadecast-server stream fox.glb --link latency=20ms,jitter=5ms,rate=100mbit
   shadecast-server forward dragon --out pictures --frames 8 --fps 8
@@ -60,7 +60,7 @@ const DEFAULT_RATE_HZ: f64 = 30.0;
   shadecast-server doctor --listen 0.0.0.0:7400
   shadecast-server generate dragon --out dragon.glb
 
-SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml)."
+SCENE is courtyard, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml)."
 )]
 struct Cli {
     #[command(subcommand)]
@@ -83,7 +83,7 @@ enum Command {
     Doctor(doctor::DoctorArgs),
     /// Writes a generated model
     Generate {
-        /// What to generate: dragon
+        /// What to generate: dragon, or a piece of the courtyard: masonry, paving, tree, cypress, ivy, pot, lantern
         what: String,
         /// The .glb file to write
         #[arg(long)]
@@ -106,7 +106,7 @@ struct DeviceArgs {
 
 #[derive(Args)]
 struct StreamArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// UDP address to listen on; 0.0.0.0:7400 for headsets on the network
     #[arg(long, default_value = DEFAULT_LISTEN)]
@@ -353,8 +353,10 @@ fn stream(args: &StreamArgs, cancel: &Cancel) -> anyhow::Result<()> {
 }
 
 fn generate_model(what: &str, out: &Path) -> anyhow::Result<()> {
-    anyhow::ensure!(what == "dragon", "\"{what}\" cannot be generated; what can: dragon");
-    let bytes = dragon();
+    let built_in = BuiltIn::named(what).with_context(|| {
+        format!("\"{what}\" cannot be generated; what can: {}", BuiltIn::ALL.map(BuiltIn::name).join(", "))
+    })?;
+    let bytes = built_in.glb();
     write_atomically(out, &bytes).with_context(|| format!("writing {}", out.display()))?;
     println!("{}: {} bytes", out.display(), bytes.len());
     Ok(())

@@ -1,5 +1,5 @@
 //! From the SCENE argument to a complete [`Scene`]: a scene file, an asset with a sensible scene around it, or the
-//! built-in dragons.
+//! built-in dragons and courtyard.
 
 use super::error::SceneError;
 use super::file::{self, ClipChoice, EventEntry, ModelEntry, ModelFile, SceneFile};
@@ -13,6 +13,7 @@ use crate::timeline::{Change, Event};
 use crate::views::find_head_path;
 use crate::{Cancelled, Clip, HeadPath, Instance, Model, Scene, fbx, gltf, ground, import};
 use glam::{Affine3A, Quat, Vec2, Vec3};
+use shadecast_dragon::BuiltIn;
 use shadecast_model::pose::Pose;
 use shadecast_model::text::printable;
 use std::fmt;
@@ -22,6 +23,11 @@ use std::str::FromStr;
 /// Most built-in dragons in one scene.
 pub const MAX_DRAGONS: u32 = 1024;
 
+/// What the user writes for the courtyard, its scene file, and the file's name for messages.
+const COURTYARD: &str = "courtyard";
+const COURTYARD_FILE: &str = include_str!("load/courtyard.toml");
+const COURTYARD_NAME: &str = "built-in courtyard";
+
 /// What the user asked to see.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum SceneSource {
@@ -29,6 +35,8 @@ pub enum SceneSource {
     Dragons(u32),
     /// Built-in dragons in a grid: so many side by side, above each other, behind each other.
     DragonGrid([u32; 3]),
+    /// The built-in courtyard at evening.
+    Courtyard,
     /// A `.glb`, `.gltf` or `.fbx` asset, or a `.toml` scene.
     File(PathBuf),
 }
@@ -43,7 +51,7 @@ impl Default for SceneSource {
 impl FromStr for SceneSource {
     type Err = SceneError;
 
-    /// `dragon`, `dragons:N`, `dragons:NxMxK`, or a path.
+    /// `courtyard`, `dragon`, `dragons:N`, `dragons:NxMxK`, or a path.
     fn from_str(argument: &str) -> Result<Self, SceneError> {
         let fault = |problem: String| SceneError::Argument { argument: argument.to_owned(), problem };
         match argument.split_once(':') {
@@ -52,10 +60,11 @@ impl FromStr for SceneSource {
                     "the number must be from 1 to {MAX_DRAGONS}, or three of that product, such as 3x1x3"
                 ))
             }),
+            _ if argument == COURTYARD => Ok(Self::Courtyard),
             _ if argument == "dragon" => Ok(Self::Dragons(1)),
             _ if argument == "dragons" => Ok(Self::default()),
             _ if argument.is_empty() => {
-                Err(fault("is empty; give dragons:N or a .glb, .gltf, .fbx or .toml file".into()))
+                Err(fault("is empty; give courtyard, dragons:N or a .glb, .gltf, .fbx or .toml file".into()))
             }
             _ => Ok(Self::File(argument.into())),
         }
@@ -81,6 +90,7 @@ impl fmt::Display for SceneSource {
             Self::Dragons(1) => write!(out, "dragon"),
             Self::Dragons(count) => write!(out, "dragons:{count}"),
             Self::DragonGrid([across, up, deep]) => write!(out, "dragons:{across}x{up}x{deep}"),
+            Self::Courtyard => write!(out, "{COURTYARD}"),
             Self::File(path) => write!(out, "{}", path.display()),
         }
     }
@@ -97,6 +107,7 @@ pub fn load_scene_with(source: &SceneSource, loading: &Loading) -> Result<Scene,
     match source {
         SceneSource::Dragons(count) => dragons(*count, loading),
         SceneSource::DragonGrid(count) => dragon_grid(*count, loading),
+        SceneSource::Courtyard => read_scene(COURTYARD_FILE, COURTYARD_NAME, Path::new(""), loading),
         SceneSource::File(path) => match extension(path).as_str() {
             "toml" => scene_file(path, loading),
             _ if is_asset(path) => asset(path, loading),
@@ -111,7 +122,7 @@ fn extension(path: &Path) -> String {
 
 fn unknown_kind(path: &Path, extension: &str) -> SceneError {
     let name = path.display().to_string();
-    let hint = did_you_mean(&name, ["dragon", "dragons"]);
+    let hint = did_you_mean(&name, ["dragon", "dragons", COURTYARD]);
     let problem = match extension {
         "" => format!("is neither a built-in scene nor a .glb, .gltf, .fbx or .toml file{hint}"),
         other => format!("files of type .{other} are not supported; give a .glb, .gltf, .fbx or .toml file"),
@@ -127,7 +138,7 @@ fn is_asset(path: &Path) -> bool {
 /// The one way by which models come into a scene.
 fn load_model(file: &ModelFile, loading: &Loading) -> Result<Model, SceneError> {
     match file {
-        ModelFile::BuiltInDragon => process::built_in_dragon(loading),
+        ModelFile::BuiltIn(model) => process::built_in(*model, loading),
         ModelFile::Path(path) => {
             let importer = if extension(path) == "fbx" { fbx::import } else { gltf::import };
             process::import(&loading.cache, path, |path| import::read(path, importer, &loading.cancel))
@@ -308,7 +319,7 @@ fn placed_dragons(
     place: impl Fn(u32, Vec3, Vec3) -> Affine3A,
     loading: &Loading,
 ) -> Result<Scene, SceneError> {
-    let model = load_model(&ModelFile::BuiltInDragon, loading)?;
+    let model = load_model(&ModelFile::BuiltIn(BuiltIn::Dragon), loading)?;
     let clip = first_moving_clip(&model);
     let fault =
         |problem| SceneError::Asset { file: "built-in dragon".into(), element: "scene".into(), problem };
@@ -385,6 +396,7 @@ pub fn load_head_path(source: &SceneSource, name: &str) -> Result<HeadPath, Scen
             let (file, text) = read_scene_file(path)?;
             file::parse(&text, &file)?.head_paths
         }
+        SceneSource::Courtyard => file::parse(COURTYARD_FILE, COURTYARD_NAME)?.head_paths,
         _ => file::built_in_head_paths(),
     };
     find_head_path(&head_paths, name).cloned()
@@ -419,7 +431,7 @@ fn named_model(
 ) -> Result<Model, SceneError> {
     let fault = |problem: String| SceneError::SceneFile { file: name.to_owned(), line: entry.line, problem };
     let mut model = match &entry.file {
-        ModelFile::BuiltInDragon => load_model(&ModelFile::BuiltInDragon, loading)?,
+        ModelFile::BuiltIn(_) => load_model(&entry.file, loading)?,
         ModelFile::Path(path) if is_asset(path) => {
             // The reason in the scene's terms: the line that names the file.
             load_model(&ModelFile::Path(folder.join(path)), loading).map_err(|error| match error {
@@ -428,7 +440,7 @@ fn named_model(
             })?
         }
         ModelFile::Path(path) => {
-            let hint = did_you_mean(&path.to_string_lossy(), [file::BUILT_IN_DRAGON]);
+            let hint = did_you_mean(&path.to_string_lossy(), BuiltIn::ALL.map(BuiltIn::name));
             return Err(fault(format!("\"{}\" is not a .glb, .gltf or .fbx file{hint}", path.display())));
         }
     };

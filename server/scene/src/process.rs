@@ -15,6 +15,7 @@ use crate::references::Folder;
 use crate::split::{SplitStats, split_until};
 use crate::{Bone, Clip, Lod, Material, Model, Morph, PaletteEntry, Primitive, Vertex, bulk, gltf, lod};
 use serde::{Deserialize, Serialize};
+use shadecast_dragon::BuiltIn;
 use std::path::{Path, PathBuf};
 
 /// How scenes are loaded.
@@ -46,18 +47,18 @@ impl Loading {
     }
 }
 
-/// The generated dragon.
+/// A generated model.
 ///
 /// # Errors
 /// None but [`Cancelled`], unless the generator and the importer disagree.
-pub fn built_in_dragon(loading: &Loading) -> Result<Model, SceneError> {
+pub fn built_in(model: BuiltIn, loading: &Loading) -> Result<Model, SceneError> {
     let import = || {
-        let bytes = shadecast_dragon::dragon();
+        let bytes = model.glb();
         loading.cancel.check()?;
-        gltf::from_slice(&bytes, "built-in dragon")
+        gltf::from_slice(&bytes, &format!("built-in {}", model.name()))
     };
     loading.cancel.check()?;
-    loading.cache.try_get_or_compute(&Key::new("dragon", 1), check::model, import)
+    loading.cache.try_get_or_compute(&Key::new("built-in", 1).value(&model.name()), check::model, import)
 }
 
 /// What an importer makes, with what it has to say about it at every start.

@@ -27,7 +27,7 @@ const LEAST_ERROR_MM: f64 = 5e-3;
 /// `inspect error SCENE`.
 #[derive(Args)]
 pub struct ErrorArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// JSON, as docs/inspect.md describes it, instead of text
     #[arg(long)]

@@ -31,7 +31,7 @@ const EYE_HEIGHT_M: f32 = 1.6;
 /// `inspect memory SCENE`.
 #[derive(Args)]
 pub struct MemoryArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// Pixels per eye of the viewer
     #[arg(long, default_value = "1300x1300", value_parser = shadecast_desktop::flags::size)]

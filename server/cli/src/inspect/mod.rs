@@ -47,7 +47,7 @@ enum Inspection {
 
 #[derive(Args)]
 struct ContentsArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     #[arg(required = true)]
     scene: Option<String>,
     /// JSON, as docs/inspect.md describes it, instead of text

@@ -240,7 +240,7 @@ pub(super) fn finger_loft(plane: &WingPlane, index: usize) -> Loft {
     let station = |row: usize| {
         let share = row as f32 / (ROWS - 1) as f32;
         let centre = finger(plane, index, share);
-        let radius = super::curve::lerp(ROOT_RADIUS_M, TIP_RADIUS_M, share.powf(0.7));
+        let radius = crate::curve::lerp(ROOT_RADIUS_M, TIP_RADIUS_M, share.powf(0.7));
         [centre.x, centre.y, centre.z, radius, radius, radius]
     };
     let stations: [Station; ROWS] = std::array::from_fn(station);

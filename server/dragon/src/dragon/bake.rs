@@ -141,15 +141,3 @@ fn mean(near: impl Iterator<Item = Texel>) -> Option<Texel> {
 fn bytes(color: Vec3) -> [u8; 3] {
     color.to_array().map(|channel| (channel.clamp(0.0, 1.0) * 255.0 + 0.5) as u8)
 }
-
-/// A PNG of 8-bit RGB rows.
-pub(super) fn png(rgb: &[u8], side: u32) -> Vec<u8> {
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, side, side);
-    encoder.set_color(png::ColorType::Rgb);
-    encoder.set_depth(png::BitDepth::Eight);
-    encoder.set_compression(png::Compression::Fast);
-    let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(rgb));
-    written.expect("writing a picture of the stated size into memory does not fail");
-    bytes
-}

@@ -3,10 +3,10 @@
 //! The union is the polynomial smooth minimum of the two rough distances. Each surface sinks below it where the other
 //! one is nearer, so that they cross at equal distance instead of lying in each other.
 
-use super::curve::{lerp, smoothstep};
 use super::loft::Loft;
 use super::mesh::{Mesh, Vertex};
 use super::weights::{Limb, Shading, Weights};
+use crate::curve::{lerp, smoothstep};
 use glam::Vec3;
 
 /// One limb's surface against others.

@@ -1,11 +1,11 @@
 //! Trunk, neck and tail with their dorsal spikes.
 
 use super::anatomy::{island, spine_row};
-use super::curve::{lerp, smoothstep};
 use super::horn::Horn;
 use super::loft::Loft;
 use super::mesh::{Mesh, Skin, Tube};
 use super::weights::{Limb, Shading};
+use crate::curve::{lerp, smoothstep};
 use glam::{Vec2, Vec3};
 
 /// Wanted edge lengths, metres.

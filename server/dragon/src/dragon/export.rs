@@ -1,11 +1,12 @@
 //! The finished dragon as a glTF document.
 
 use super::anatomy::TEXTURE_TEXELS;
-use super::bake::{self, Canvas};
+use super::bake::Canvas;
 use super::clip::{self, KEYS, KEYS_PER_S, Motion};
 use super::mesh::{Mesh, Skin, Vertex};
 use super::rig::Rig;
 use crate::glb::{Buffer, Target};
+use crate::picture;
 use glam::{Mat4, Quat, Vec2, Vec3, Vec4};
 use serde_json::{Value, json};
 use std::ops::{Add, Mul, Sub};
@@ -146,7 +147,7 @@ fn pictures(mesh: &Mesh, buffer: &mut Buffer) -> (Vec<Value>, Vec<Value>) {
         ("normal", pictures.normal),
     ];
     let images = named.map(|(name, rgb)| {
-        let view = buffer.view(&bake::png(&rgb, TEXTURE_TEXELS), Target::None);
+        let view = buffer.view(&picture::png(&rgb, TEXTURE_TEXELS), Target::None);
         json!({"name": name, "bufferView": view, "mimeType": "image/png"})
     });
     let textures = (0..images.len()).map(|source| json!({"sampler": 0, "source": source})).collect();

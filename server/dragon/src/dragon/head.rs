@@ -3,13 +3,13 @@
 use super::anatomy::{self, island, spine_row};
 use super::blend::Joint;
 use super::body;
-use super::curve::{arch, lerp, smoothstep};
 use super::horn::Horn;
 use super::loft::Loft;
 use super::mesh::{Bump, Mesh, Rows, Skin, Tube, Vertex};
 use super::rig::{EAR, EYE, Rig};
 use super::sheet::{Sheet, thin_rim};
 use super::weights::{Limb, Shading, Weights};
+use crate::curve::{arch, lerp, smoothstep};
 use glam::{Vec2, Vec3, Vec4};
 use std::f32::consts::{PI, TAU};
 

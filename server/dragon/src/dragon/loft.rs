@@ -3,7 +3,7 @@
 //! A loft is both a surface (points by length and angle) and a rough signed distance, which is what joins limbs to the
 //! trunk smoothly and finds bone weights by place.
 
-use super::curve::{catmull_rom, lerp};
+use crate::curve::{catmull_rom, lerp};
 use glam::{Vec2, Vec3};
 use std::f32::consts::TAU;
 

@@ -9,7 +9,6 @@ mod bake;
 mod blend;
 mod body;
 mod clip;
-mod curve;
 mod export;
 mod head;
 mod horn;

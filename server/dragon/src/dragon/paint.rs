@@ -3,8 +3,9 @@
 //! Patterns are functions of the place in the model, not of the texture, so they have neither seams nor stretch.
 //! Colours are sRGB-coded, 0..1.
 
-use super::curve::{lerp, smoothstep};
 use super::mesh::Skin;
+use crate::curve::{lerp, smoothstep};
+use crate::noise::{hash, noise, unit};
 use glam::{IVec3, Vec3, Vec4, vec3};
 use std::f32::consts::TAU;
 
@@ -180,29 +181,4 @@ fn cells(point: Vec3) -> Cell {
         }
     }
     Cell { inside: second.sqrt() - nearest.sqrt(), tint: unit(owner >> 5) }
-}
-
-/// Smooth value noise, 0..1, one wave per unit.
-fn noise(point: Vec3) -> f32 {
-    let base = point.floor();
-    let f = point - base;
-    let f = f * f * (3.0 - 2.0 * f);
-    let lattice = base.as_ivec3();
-    let at = |x: i32, y: i32, z: i32| unit(hash(lattice + IVec3::new(x, y, z)));
-    let row = |y: i32, z: i32| lerp(at(0, y, z), at(1, y, z), f.x);
-    let slice = |z: i32| lerp(row(0, z), row(1, z), f.y);
-    lerp(slice(0), slice(1), f.z)
-}
-
-fn hash(lattice: IVec3) -> u32 {
-    let [x, y, z] = lattice.to_array().map(|axis| axis as u32);
-    let mut h = x.wrapping_mul(0x8DA6_B343) ^ y.wrapping_mul(0xD816_3841) ^ z.wrapping_mul(0xCB1A_B31F);
-    h = (h ^ (h >> 15)).wrapping_mul(0x2C1B_3C6D);
-    h = (h ^ (h >> 12)).wrapping_mul(0x297A_2D39);
-    h ^ (h >> 15)
-}
-
-/// The lowest ten bits as a share of 1.
-fn unit(hash: u32) -> f32 {
-    (hash & 1023) as f32 / 1023.0
 }

@@ -1,8 +1,8 @@
 //! Thin closed skins: two layers that meet at the rim.
 
-use super::curve::smoothstep;
 use super::mesh::{Mesh, Rows, Skin, Vertex};
 use super::weights::Weights;
+use crate::curve::smoothstep;
 use glam::{Vec2, Vec3, Vec4};
 
 /// A surface over `s` (0 root, 1 rim) and `t` (0..=1 across); the upper side is where d/ds x d/dt points.

@@ -1,7 +1,7 @@
 //! Bone weights: which joints move a place, and how much.
 
-use super::curve::smoothstep;
 use super::loft::Loft;
+use crate::curve::smoothstep;
 use glam::{Vec3, Vec4};
 
 /// Joints with their shares. Shares need not sum to 1 until [`Weights::strongest`] makes them.

@@ -5,13 +5,13 @@ use super::anatomy::{
     island,
 };
 use super::blend::Joint;
-use super::curve::{arch, catmull_rom, smoothstep};
 use super::horn::Horn;
 use super::loft::Loft;
 use super::mesh::{Island, Mesh, Skin, Tube};
 use super::rig::{FINGERS, Rig};
 use super::sheet::{Sheet, thin_rim};
 use super::weights::{Chain, Limb, Shading, Weights};
+use crate::curve::{arch, catmull_rom, smoothstep};
 use glam::{Vec2, Vec3};
 
 const ARM_EDGE_M: f32 = 0.0225;

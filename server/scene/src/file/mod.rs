@@ -26,14 +26,12 @@ use crate::{Camera, Environment, HeadPath, Path, PlacedLight, Repetition, SceneE
 use fields::{Fields, Source};
 use glam::Affine3A;
 use placement::Named;
+use shadecast_dragon::BuiltIn;
 use shadecast_model::pose::Pose;
 use shadecast_model::text::printable;
 use shadecast_model::time::WorldTime;
 use std::path::PathBuf;
 use toml::de::DeTable;
-
-/// Name of the built-in model, usable wherever a model's file is named.
-pub const BUILT_IN_DRAGON: &str = "dragon";
 
 /// A scene file, read and checked in itself; no other file has been opened yet.
 #[derive(Clone, Debug)]
@@ -74,8 +72,8 @@ pub struct ModelEntry {
 /// Where a model comes from.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum ModelFile {
-    /// The generated dragon.
-    BuiltInDragon,
+    /// A generated one.
+    BuiltIn(BuiltIn),
     /// A path to anywhere, relative to the scene file.
     Path(PathBuf),
 }
@@ -229,11 +227,8 @@ fn read_models(root: &Fields) -> Result<Vec<ModelEntry>, SceneError> {
     for fields in root.tables("model", &["name", "file"])? {
         let name = fields.unique_name("models", models.iter().map(|model| model.name.as_str()))?;
         let (file, line) = fields.required_string("file")?;
-        let file = if file == BUILT_IN_DRAGON {
-            ModelFile::BuiltInDragon
-        } else {
-            ModelFile::Path(PathBuf::from(file))
-        };
+        let built_in = BuiltIn::named(&file).map(ModelFile::BuiltIn);
+        let file = built_in.unwrap_or_else(|| ModelFile::Path(PathBuf::from(file)));
         models.push(ModelEntry { name, file, line });
     }
     Ok(models)

@@ -3,6 +3,7 @@
 use super::*;
 use crate::{LightKind, Scene};
 use glam::{Quat, Vec3};
+use shadecast_dragon::BuiltIn;
 use shadecast_model::limits::MAX_LIGHTS;
 
 const GOOD: &str = r#"
@@ -51,7 +52,7 @@ fn message(text: &str) -> String {
 #[test]
 fn everything_in_a_scene_file_arrives() {
     let scene = parse(GOOD, "scene.toml").expect("a good file");
-    assert_eq!(scene.models[0].file, ModelFile::BuiltInDragon);
+    assert_eq!(scene.models[0].file, ModelFile::BuiltIn(BuiltIn::Dragon));
     assert_eq!(scene.models[1].file, ModelFile::Path("models/Fox.glb".into()));
     let [dragon, fox] = &scene.instances[..] else { panic!("two instances") };
     let front = dragon.world_from_model.transform_point3(Vec3::Z);

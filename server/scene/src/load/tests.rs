@@ -41,6 +41,7 @@ fn scene_arguments_are_understood() {
     let parse = |argument: &str| argument.parse::<SceneSource>();
     assert_eq!(parse("dragon").expect("good"), SceneSource::Dragons(1));
     assert_eq!(parse("dragons:9").expect("good"), SceneSource::Dragons(9));
+    assert_eq!(parse("courtyard").expect("good"), SceneSource::Courtyard);
     assert_eq!(parse("dragons").expect("good"), SceneSource::default());
     assert_eq!(parse("dragons:3x1x2").expect("good"), SceneSource::DragonGrid([3, 1, 2]));
     assert_eq!(parse("a/b.glb").expect("good"), SceneSource::File("a/b.glb".into()));
@@ -49,7 +50,7 @@ fn scene_arguments_are_understood() {
     {
         assert!(parse(bad).is_err(), "{bad}");
     }
-    for source in ["dragon", "dragons:9", "dragons:13x1x13", "a/b.glb"] {
+    for source in ["courtyard", "dragon", "dragons:9", "dragons:13x1x13", "a/b.glb"] {
         assert_eq!(parse(source).expect("good").to_string(), source);
     }
 }
@@ -190,6 +191,62 @@ fn grid_of_dragons_fills_rows_columns_and_layers_without_touching() {
     assert!(bounds[0].0.y.abs() < 0.05 && bounds[3].0.y > bounds[0].1.y, "layers stand on each other");
     let middle_x = bounds.iter().map(|(low, high)| low.x + high.x).sum::<f32>() / 24.0;
     assert!(middle_x.abs() < 0.05, "{middle_x}");
+}
+
+fn courtyard() -> Scene {
+    load_scene(&SceneSource::Courtyard).expect("built in")
+}
+
+#[test]
+fn the_courtyard_has_dragons_at_different_moments_cutouts_and_lamps() {
+    let scene = courtyard();
+    let is_dragon = |instance: &&Instance| scene.models[instance.model].name == "dragon";
+    let dragons: Vec<&Instance> = scene.instances.iter().filter(is_dragon).collect();
+    assert!((3..=5).contains(&dragons.len()) && dragons.iter().all(|dragon| dragon.clip.is_some()));
+    let mut shifts: Vec<f32> = dragons.iter().map(|dragon| dragon.time_shift_s).collect();
+    shifts.sort_by(f32::total_cmp);
+    assert!(shifts.windows(2).all(|pair| pair[1] - pair[0] > 0.2), "{shifts:?}");
+    let near = dragons.iter().map(|dragon| dragon.world_from_model(0.0).translation.length());
+    assert!(near.fold(f32::INFINITY, f32::min) < 4.0);
+    let cutouts = scene.models.iter().flat_map(|model| &model.materials).filter(|m| m.alpha_cutoff.is_some());
+    assert!(cutouts.count() >= 3);
+    let lamps = scene.instances.iter().map(|instance| scene.models[instance.model].lights.len());
+    assert_eq!((lamps.sum::<usize>(), scene.lights.len()), (2, 0));
+    assert!(scene.sun.to_sun.y < 0.5 && scene.sun.irradiance.x > 2.0 * scene.sun.irradiance.z, "evening");
+}
+
+#[test]
+fn the_courtyard_has_fewer_triangles_than_nine_dragons() {
+    let triangles = |scene: &Scene| -> usize {
+        scene.instances.iter().map(|instance| scene.models[instance.model].indices.len() / 3).sum()
+    };
+    let (courtyard, nine) =
+        (triangles(&courtyard()), triangles(&load_scene(&SceneSource::Dragons(9)).expect("dragons")));
+    assert!(courtyard * 3 > nine && courtyard < nine, "{courtyard} against {nine}");
+}
+
+#[test]
+fn nothing_of_the_courtyard_stands_below_its_floor() {
+    let scene = courtyard();
+    for (index, instance) in scene.instances.iter().enumerate() {
+        let (low, high) = world_bounds(&scene, index);
+        assert!(low.y > -0.15 && high.y < 6.5, "{}: {low} to {high}", instance.name);
+    }
+}
+
+#[test]
+fn a_peek_passes_the_gates_edge_twice_in_three_seconds() {
+    /// The gate's right edge, metres.
+    const EDGE_M: f32 = 0.9;
+    let peek = load_head_path(&SceneSource::Courtyard, "peek").expect("its own");
+    let x = |step: u32| peek.stage_from_head(f64::from(step) * 0.01).position.x;
+    let all: Vec<f32> = (0..=300).map(x).collect();
+    let passed = all.windows(2).filter(|pair| pair[0] >= EDGE_M && pair[1] < EDGE_M).count();
+    assert_eq!(passed, 2);
+    let (low, high) = all.iter().fold((f32::MAX, f32::MIN), |(low, high), x| (low.min(*x), high.max(*x)));
+    assert!((0.38..0.45).contains(&(high - low)), "{low} to {high}");
+    let fastest = all.windows(2).map(|pair| (pair[1] - pair[0]).abs() * 100.0).fold(0.0, f32::max);
+    assert!((0.7..1.3).contains(&fastest), "{fastest} m/s");
 }
 
 #[test]

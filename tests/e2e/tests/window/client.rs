@@ -128,7 +128,15 @@ fn a_halted_server_leaves_the_head_free_and_a_notice_in_view() {
 fn the_window_demo_ends_with_its_window() {
     let (display, folder) = (Display::start(SCREEN), tempfile::tempdir().unwrap());
     let mut demo = Command::new(program("shadecast-lab"));
-    demo.args(["demo", "--window", "--seconds", "6", "--size", &format!("{}x{}", SIZE[0], SIZE[1])]);
+    demo.args([
+        "demo",
+        "dragon",
+        "--window",
+        "--seconds",
+        "6",
+        "--size",
+        &format!("{}x{}", SIZE[0], SIZE[1]),
+    ]);
     demo.arg("--validation").arg("--out").arg(folder.path()).env("DISPLAY", display.name());
     demo.env_remove("WAYLAND_DISPLAY").env_remove("WAYLAND_SOCKET");
     let output = output_of(&mut demo);

@@ -11,7 +11,7 @@ use std::path::{Path, PathBuf};
 
 #[derive(Args)]
 pub(super) struct CausesArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     scene: String,
     /// The causes, with commas between them [default: all]
     #[arg(long, value_enum, value_delimiter = ',')]

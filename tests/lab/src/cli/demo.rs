@@ -5,12 +5,14 @@ use clap::Args;
 use shadecast_desktop::flags::{number, size};
 use shadecast_lab::demo::window::{DemoWindowOptions, demo_window};
 use shadecast_lab::demo::{DemoOptions, demo};
+use shadecast_scene::load::SceneSource;
 use std::path::PathBuf;
 
 #[derive(Args)]
 pub(super) struct DemoArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml [default: dragons:3; one dragon on a CPU]
-    scene: Option<String>,
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    #[arg(default_value = "courtyard")]
+    scene: SceneSource,
     /// Server and a window, to look around in until it is closed; needs a desktop, and no simulator
     #[arg(long, conflicts_with_all = ["refresh", "virtual_seconds"])]
     window: bool,
@@ -38,10 +40,9 @@ pub(super) fn run(args: DemoArgs) -> anyhow::Result<()> {
     let gpu = open_device()?;
     let is_cpu = gpu.is_cpu();
     drop(gpu);
-    let scene = args.scene.as_deref().unwrap_or(if is_cpu { "dragon" } else { "dragons:3" }).parse()?;
     if args.window {
         return demo_window(&DemoWindowOptions {
-            scene,
+            scene: args.scene,
             out: args.out,
             extent_pixels: args.size.unwrap_or(if is_cpu { [480, 300] } else { [1280, 800] }),
             seconds: args.seconds,
@@ -49,7 +50,7 @@ pub(super) fn run(args: DemoArgs) -> anyhow::Result<()> {
         });
     }
     let options = DemoOptions {
-        scene,
+        scene: args.scene,
         out: args.out,
         extent_pixels: args.size.unwrap_or(if is_cpu { [256, 256] } else { [1024, 1024] }),
         seconds: args.seconds.unwrap_or(6.0),

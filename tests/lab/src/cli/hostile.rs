@@ -14,7 +14,7 @@ pub(super) struct HostileArgs {
     /// Seconds that each lasts
     #[arg(long, default_value_t = 20.0)]
     seconds: f64,
-    /// What is served: dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml [default: one turning cube]
+    /// What is served: courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml [default: one turning cube]
     #[arg(long)]
     scene: Option<String>,
     /// Writes the figures to this JSON file

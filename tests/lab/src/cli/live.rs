@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 #[derive(Args)]
 pub(super) struct LiveArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     #[arg(default_value = "dragons:3")]
     scene: SceneSource,
     /// Shows it in a window, which needs a desktop; else by the OpenXR runtime of this machine

@@ -52,7 +52,7 @@ use std::path::{Path, PathBuf};
   shadecast-lab demo --out out/demo
   shadecast-lab device
 
-SCENE is dragon, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml).
+SCENE is courtyard, dragons:N, dragons:NxMxK (a grid), a .glb, .gltf or .fbx file, or a scene description (.toml).
 A head path is a CSV file, t_s,x,y,z,qx,qy,qz,qw: metres in the stage's frame (y up, -z forward)."
 )]
 struct Cli {

@@ -35,7 +35,7 @@ impl RunArgs {
 
 #[derive(Args)]
 pub(super) struct RunArgs {
-    /// dragon, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf/.fbx file, or a scene .toml
     pub(super) scene: String,
     /// The clip that animated instances play [default: the scene's own choice]
     #[arg(long)]

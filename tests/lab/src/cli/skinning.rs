@@ -9,7 +9,7 @@ use std::path::PathBuf;
 
 #[derive(Args)]
 pub(super) struct SkinningArgs {
-    /// dragon, dragons:N, a .glb/.gltf file, or a scene .toml
+    /// courtyard, dragons:N, a .glb/.gltf file, or a scene .toml
     #[arg(default_value = "dragons:9")]
     scene: String,
     #[command(flatten)]

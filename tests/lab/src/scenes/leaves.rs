@@ -1,11 +1,13 @@
 //! A room for measurements of cutouts: a curtain of leaves before each wall, with the wall visible between the leaves. The
 //! curtains hang still, or sway about their upper edge.
 
-use super::room::{Surface, wall, walls, write_scene};
+use super::room::{wall, walls, write_scene};
 use crate::image::ImageError;
-use glam::{Quat, Vec2, Vec3};
+use glam::{Quat, Vec3};
 use serde_json::{Value, json};
 use shadecast_dragon::glb::{Buffer, Target};
+use shadecast_dragon::picture;
+use shadecast_dragon::surface::Surface;
 use std::f32::consts::TAU;
 use std::path::{Path, PathBuf};
 
@@ -104,13 +106,12 @@ fn swaying(buffer: &mut Buffer) -> Value {
 }
 
 fn mesh(surface: &Surface, buffer: &mut Buffer, material: usize, shift: Vec3) -> Value {
-    let uvs: Vec<Vec2> = surface.positions.iter().map(|p| Vec2::new(p.x + 0.5, 0.5 - p.y)).collect();
     let positions: Vec<Vec3> = surface.positions.iter().map(|p| *p + shift).collect();
     json!({"primitives": [{
         "attributes": {
             "POSITION": buffer.positions(&positions),
             "NORMAL": buffer.vec3s(&surface.normals, Target::Vertices),
-            "TEXCOORD_0": buffer.vec2s(&uvs),
+            "TEXCOORD_0": buffer.vec2s(&surface.uvs),
         },
         "indices": buffer.indices(&surface.indices),
         "material": material,
@@ -128,11 +129,5 @@ fn picture() -> Vec<u8> {
     };
     let texel = |at: u32| [50, 140, 60, alpha(at % TEXELS, at / TEXELS)];
     let rgba8: Vec<u8> = (0..TEXELS * TEXELS).flat_map(texel).collect();
-    let mut bytes = Vec::new();
-    let mut encoder = png::Encoder::new(&mut bytes, TEXELS, TEXELS);
-    encoder.set_color(png::ColorType::Rgba);
-    encoder.set_depth(png::BitDepth::Eight);
-    let written = encoder.write_header().and_then(|mut writer| writer.write_image_data(&rgba8));
-    written.expect("memory takes what is written");
-    bytes
+    picture::png(&rgba8, TEXELS)
 }

@@ -4,6 +4,7 @@
 use glam::Vec3;
 use serde_json::{Value, json};
 use shadecast_dragon::glb::{Buffer, Target};
+use shadecast_dragon::surface::{Surface, surface};
 use std::f32::consts::TAU;
 use std::path::{Path, PathBuf};
 
@@ -55,33 +56,6 @@ pub fn room(of_vases: [usize; 2]) -> Vec<u8> {
         "meshes": meshes,
         "materials": [paint([0.6, 0.58, 0.5, 1.0]), paint([0.15, 0.35, 0.5, 1.0])],
     }))
-}
-
-/// A surface over a grid of points.
-pub(crate) struct Surface {
-    pub(crate) positions: Vec<Vec3>,
-    pub(crate) normals: Vec<Vec3>,
-    pub(crate) indices: Vec<u16>,
-}
-
-/// `across` times `along` points; triangles face the side from which u runs to the right where v runs up.
-fn surface(across: u16, along: u16, point: impl Fn(f32, f32) -> Vec3) -> Surface {
-    const STEP: f32 = 1e-3;
-    let (mut positions, mut normals, mut indices) = (Vec::new(), Vec::new(), Vec::new());
-    for row in 0..along {
-        for column in 0..across {
-            let (u, v) = (f32::from(column) / f32::from(across - 1), f32::from(row) / f32::from(along - 1));
-            let by_u = point(u + STEP, v) - point(u - STEP, v);
-            let by_v = point(u, v + STEP) - point(u, v - STEP);
-            positions.push(point(u, v));
-            normals.push(by_u.cross(by_v).normalize());
-        }
-    }
-    for (row, column) in (0..along - 1).flat_map(|row| (0..across - 1).map(move |column| (row, column))) {
-        let low = row * across + column;
-        indices.extend([low, low + 1, low + across, low + 1, low + across + 1, low + across]);
-    }
-    Surface { positions, normals, indices }
 }
 
 /// A square of side 1 in the plane of x and y that faces +z.

@@ -1,12 +1,13 @@
 //! A room for measurements of texture filtering: large walls with paint of texel-sized detail, bricks and letters beside soft
 //! colours, so too weak and too strong filters are visible. Nothing in it moves.
 
-use super::room::{Surface, wall, walls, write_scene};
+use super::room::{wall, walls, write_scene};
 use crate::image::{ImageError, Rgb8Image};
 use crate::report::typeface::Typeface;
-use glam::{Vec2, Vec3};
+use glam::Vec3;
 use serde_json::{Value, json};
 use shadecast_dragon::glb::{Buffer, Target};
+use shadecast_dragon::surface::Surface;
 use std::path::{Path, PathBuf};
 
 /// From wall to wall, metres.
@@ -57,13 +58,11 @@ fn room() -> Vec<u8> {
 }
 
 fn mesh(surface: &Surface, buffer: &mut Buffer, material: usize) -> Value {
-    // The mesh is a square around the origin; a picture's first row is its upper edge.
-    let uvs: Vec<Vec2> = surface.positions.iter().map(|p| Vec2::new(p.x + 0.5, 0.5 - p.y)).collect();
     json!({"primitives": [{
         "attributes": {
             "POSITION": buffer.positions(&surface.positions),
             "NORMAL": buffer.vec3s(&surface.normals, Target::Vertices),
-            "TEXCOORD_0": buffer.vec2s(&uvs),
+            "TEXCOORD_0": buffer.vec2s(&surface.uvs),
         },
         "indices": buffer.indices(&surface.indices),
         "material": material,

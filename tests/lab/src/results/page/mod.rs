@@ -20,7 +20,7 @@ use std::path::Path;
 
 const TEMPLATE: &str = include_str!("page.html");
 /// The README's picture, beside the folder of results.
-const SHEET: &str = "../sheet.png";
+const FIRST_PICTURE: &str = "../courtyard.png";
 /// What a page should not exceed, bytes.
 pub const MOST_BYTES: usize = 1_500_000;
 
@@ -54,7 +54,7 @@ fn page(results: &Path, pictures: Option<&Path>) -> anyhow::Result<String> {
     let bars = Bars::parse(BARS)?.check(results);
     let picture = match pictures {
         Some(folder) => stills::stills(folder)?,
-        None => stills::sheet(&results.join(SHEET))?,
+        None => stills::first_picture(&results.join(FIRST_PICTURE))?,
     };
     let sections = sections(&committed, &groups, &bars)?;
     let contents: String = sections

@@ -1,4 +1,4 @@
-//! Pictures on the page: stills of each way beside the truth, with a slider and an error map; or the README's sheet.
+//! Pictures on the page: stills of each way beside the truth, with a slider and an error map; or the README's picture.
 //!
 //! Files enter, HTML with the pictures in it leaves. Nothing here knows figures.
 
@@ -15,8 +15,8 @@ use std::path::{Path, PathBuf};
 const SIDES: [u32; 6] = [512, 400, 320, 256, 192, 128];
 /// Bytes that all stills together may take in the page.
 const MOST_BYTES: usize = 1_000_000;
-/// Pixels that the sheet is wide at most.
-const SHEET_WIDTH: u32 = 912;
+/// Pixels that the README's picture is wide at most.
+const FIRST_WIDTH: u32 = 912;
 
 /// A client's picture, and the truth for its pose and time.
 struct Pair {
@@ -46,22 +46,22 @@ pub(super) fn stills(folder: &Path) -> anyhow::Result<String> {
     Ok(String::new())
 }
 
-/// The sheet of pictures, as wide as the page needs it; nothing where it is not there.
+/// The README's picture, as wide as the page needs it; nothing where it is not there.
 ///
 /// # Errors
 /// It is no picture.
-pub(super) fn sheet(path: &Path) -> anyhow::Result<String> {
+pub(super) fn first_picture(path: &Path) -> anyhow::Result<String> {
     if !path.exists() {
         return Ok(String::new());
     }
-    let sheet = Rgb8Image::read_png(path)?;
-    let height = (sheet.height * SHEET_WIDTH / sheet.width.max(1)).max(1);
-    let sheet = if sheet.width > SHEET_WIDTH { smaller(&sheet, [SHEET_WIDTH, height])? } else { sheet };
+    let picture = Rgb8Image::read_png(path)?;
+    let height = (picture.height * FIRST_WIDTH / picture.width.max(1)).max(1);
+    let picture =
+        if picture.width > FIRST_WIDTH { smaller(&picture, [FIRST_WIDTH, height])? } else { picture };
     Ok(format!(
-        "<figure><img class=\"whole\" src=\"{}\" alt=\"Both eyes as the client drew them, the ground truth, their difference, and the shading \
-         atlas\"><figcaption>Each eye as the client drew it, the ground truth for the same pose and time, their difference times four, and the \
-         atlas that was streamed.</figcaption></figure>\n",
-        data(&sheet)?
+        "<figure><img class=\"whole\" src=\"{}\" alt=\"Dragons in a courtyard at evening\"><figcaption>A generated courtyard, as the client \
+         drew it over a simulated link of 20 +- 10 ms.</figcaption></figure>\n",
+        data(&picture)?
     ))
 }
 
@@ -195,7 +195,7 @@ mod tests {
         let folder = tempfile::tempdir().expect("a folder");
         let error = stills(folder.path()).expect_err("it is empty").to_string();
         assert!(error.contains("--dump-every"), "{error}");
-        assert_eq!(sheet(&folder.path().join("sheet.png")).expect("no sheet"), "");
+        assert_eq!(first_picture(&folder.path().join("none.png")).expect("no picture"), "");
     }
 
     #[test]

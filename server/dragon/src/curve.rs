@@ -3,7 +3,7 @@
 use std::f32::consts::PI;
 
 /// Uniform Catmull-Rom spline through `rows`; `t` counts rows from 0 and is clamped to their range.
-pub(super) fn catmull_rom<const N: usize>(rows: &[[f32; N]], t: f32) -> [f32; N] {
+pub(crate) fn catmull_rom<const N: usize>(rows: &[[f32; N]], t: f32) -> [f32; N] {
     let last = rows.len() - 1;
     let t = t.clamp(0.0, last as f32);
     let i = (t as usize).min(last.saturating_sub(1));
@@ -19,17 +19,17 @@ pub(super) fn catmull_rom<const N: usize>(rows: &[[f32; N]], t: f32) -> [f32; N]
 }
 
 /// 0 below `low`, 1 above `high`, smooth between them.
-pub(super) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
+pub(crate) fn smoothstep(low: f32, high: f32, x: f32) -> f32 {
     let t = ((x - low) / (high - low)).clamp(0.0, 1.0);
     t * t * (3.0 - 2.0 * t)
 }
 
 /// `a` at 0, `b` at 1.
-pub(super) fn lerp(a: f32, b: f32, t: f32) -> f32 {
+pub(crate) fn lerp(a: f32, b: f32, t: f32) -> f32 {
     a + (b - a) * t
 }
 
 /// 0 at both ends of `0..=1`, 1 in the middle.
-pub(super) fn arch(t: f32) -> f32 {
+pub(crate) fn arch(t: f32) -> f32 {
     (PI * t.clamp(0.0, 1.0)).sin()
 }
