@@ -5,7 +5,7 @@
 
 use divan::counter::{BytesCount, ItemsCount};
 use divan::{Bencher, black_box};
-use shadecast_client::draw::draw_list::NewestList;
+use shadecast_client::draw::draw_list::{MAX_CORNERS_PER_PATCH, MAX_INDICES_PER_PATCH, NewestList};
 use shadecast_client::motion::Motion;
 use shadecast_protocol::atlas::{Block, BlockAddress, BlockSize, PatchKind};
 use shadecast_protocol::geometry::{self, NewPatch, NewVertex};
@@ -17,8 +17,6 @@ use shadecast_shaders::generated::CornerGpu;
 const PATCHES: u32 = 46_656;
 const VERTICES: u32 = 48_000;
 const CHANGED: u32 = PATCHES / 100;
-const CORNERS_PER_PATCH: u32 = 5;
-const INDICES_PER_PATCH: u32 = 9;
 
 fn main() {
     divan::main();
@@ -94,8 +92,8 @@ fn draw_list_update(bencher: Bencher) {
 fn draw_list_update_and_copy(bencher: Bencher) {
     let mut scene = Scene::new();
     let mut corners: Vec<CornerGpu> =
-        vec![bytemuck::Zeroable::zeroed(); (PATCHES * CORNERS_PER_PATCH) as usize];
-    let mut indices = vec![0; (PATCHES * INDICES_PER_PATCH) as usize];
+        vec![bytemuck::Zeroable::zeroed(); PATCHES as usize * MAX_CORNERS_PER_PATCH];
+    let mut indices = vec![0; PATCHES as usize * MAX_INDICES_PER_PATCH];
     scene.list.copy_to(0, (&mut corners, &mut indices));
     bencher.counter(ItemsCount::new(CHANGED)).bench_local(|| {
         scene.change();
@@ -106,7 +104,7 @@ fn draw_list_update_and_copy(bencher: Bencher) {
 
 #[divan::bench]
 fn draw_list_floor(bencher: Bencher) {
-    let bytes = CHANGED as usize * CORNERS_PER_PATCH as usize * size_of::<CornerGpu>();
+    let bytes = CHANGED as usize * MAX_CORNERS_PER_PATCH * size_of::<CornerGpu>();
     let (from, mut to) = (vec![1u8; bytes], vec![0u8; bytes]);
     bencher.counter(BytesCount::new(bytes)).bench_local(|| to.copy_from_slice(black_box(&from)));
 }
