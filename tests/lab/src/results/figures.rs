@@ -6,6 +6,7 @@ use crate::experiments::causes::Causes;
 use crate::experiments::links::Links;
 use crate::experiments::live::Live;
 use crate::experiments::paper_size::PaperSize;
+use crate::experiments::quality::{self, Method, OverLink, Quality, Row, Video};
 use crate::experiments::render_thread::RenderThread;
 use crate::experiments::slow::Slow;
 use crate::experiments::table1::plot;
@@ -20,8 +21,8 @@ const BEGIN: &str = "<!-- figures ";
 const BEGIN_END: &str = " -->\n";
 const END: &str = "<!-- /figures -->";
 /// The documents with tables, from the project's root.
-const DOCUMENTS: [&str; 5] =
-    ["README.md", "docs/figures.md", "docs/causes.md", "docs/table1.md", "docs/budget.md"];
+const DOCUMENTS: [&str; 6] =
+    ["README.md", "docs/figures.md", "docs/causes.md", "docs/table1.md", "docs/budget.md", "docs/quality.md"];
 /// Folder of the results, from the project's root.
 pub const RESULTS: &str = "docs/results";
 const KEYS: &str = "docs/keys.svg";
@@ -119,6 +120,8 @@ pub(super) fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "paper-size" => printed::<PaperSize>(name, results)?,
         "render-thread" => printed::<RenderThread>(name, results)?,
         name if name.starts_with("links-") => printed::<Links>(name, results)?,
+        "quality-short" => quality_short(results)?,
+        name if name.starts_with("quality-") => printed::<Quality>(name, results)?,
         "worth-dragons3" => printed::<Worth>(name, results)?,
         "slow-dragons3" => printed::<Slow>(name, results)?,
         "live-window-dragons3" | "live-mock-dragons3" => printed::<Live>(name, results)?,
@@ -276,6 +279,45 @@ fn picture(results: &Path) -> String {
         })
     });
     markdown(&heads, rows)
+}
+
+/// The atlas beside videos over each link that was measured: FLIP, PSNR of the worst view, flicker.
+fn quality_short(results: &Path) -> anyhow::Result<String> {
+    let mut links = Vec::new();
+    for latency_ms in quality::LATENCIES_MS {
+        let name = format!("quality-dragons9-{latency_ms}ms");
+        let Some(found) = read(results, &name) else { continue };
+        let found: Quality = serde_json::from_value(found).with_context(|| name)?;
+        links.extend(found.links.into_iter().map(|link| (format!("{latency_ms} ms"), link)));
+    }
+    if links.is_empty() {
+        return Ok(NOT_MEASURED.to_owned());
+    }
+    let is_video = |row: &&Row, with_depth: bool| matches!(row.method, Method::Video(Video { has_depth, .. }) if has_depth == with_depth);
+    type Choice<'a> = &'a dyn Fn(&OverLink) -> Option<Row>;
+    let unpredicted = |link: &OverLink| {
+        link.others.iter().find(|row| row.method == Method::AtlasWithoutPrediction).cloned()
+    };
+    // The least FLIP is first.
+    let best =
+        |with_depth| move |link: &OverLink| link.videos.iter().find(|row| is_video(row, with_depth)).cloned();
+    let (with_depth, without) = (best(true), best(false));
+    let ways: [(&str, Choice<'_>); 4] = [
+        ("atlas", &|link| Some(link.ours.clone())),
+        ("atlas without prediction", &unpredicted),
+        ("best video with depth", &with_depth),
+        ("best video without depth", &without),
+    ];
+    let heads: Vec<&str> =
+        std::iter::once("").chain(links.iter().map(|(latency, _)| latency.as_str())).collect();
+    let cell = |row: Option<Row>| match row {
+        Some(row) => format!("{:.3}, {:.1} dB, {:.3}", row.flip, row.psnr_db[1], row.flicker.unwrap_or(0.0)),
+        None => "-".to_owned(),
+    };
+    let rows = ways.iter().map(|(name, choose)| {
+        std::iter::once((*name).to_owned()).chain(links.iter().map(|(_, link)| cell(choose(link)))).collect()
+    });
+    Ok(markdown(&heads, rows))
 }
 
 /// What parts of the picture cost.

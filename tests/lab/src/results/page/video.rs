@@ -34,7 +34,8 @@ pub(super) fn section(groups: &[Group]) -> anyhow::Result<String> {
     let names = names(groups);
     let mut out = paragraph(
         "FLIP is the error that an eye sees when it flips between picture and truth: 0 is none, lower is better. All methods have the same scene, \
-         head, link and bits. Of videos with the same abilities the best setting counts.",
+         head and link, and as many bits. The atlas as in the paper also sends its predicted positions, which take what they need. Of videos \
+         with the same abilities the best setting counts.",
     );
     out += "<div class=\"plots\">\n";
     for group in groups {
