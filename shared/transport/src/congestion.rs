@@ -109,12 +109,8 @@ impl TargetRate {
     }
 }
 
-/// Makes the [`Steady`] controllers of one connection, one for each path.
-///
-/// ```
-/// let factory = std::sync::Arc::new(shadecast_transport::congestion::SteadyConfig::default());
-/// quinn_proto::TransportConfig::default().congestion_controller_factory(factory);
-/// ```
+/// Makes the [`Steady`] controllers of one connection, one for each path: for
+/// [`quinn_proto::TransportConfig::congestion_controller_factory`].
 #[derive(Debug, Default)]
 pub struct SteadyConfig {
     /// What the newest path's controller tells.

@@ -135,7 +135,7 @@ impl fmt::Display for Method {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::Atlas => f.pad("atlas"),
-            Self::AtlasWithoutPrediction => f.pad("atlas, no prediction"),
+            Self::AtlasWithoutPrediction => f.pad("atlas without prediction"),
             Self::AtlasAsPaper => f.pad("atlas as in the paper"),
             Self::Video(Video { rate_hz, margin_degrees, has_depth }) => {
                 let depth = if *has_depth { ", depth" } else { "" };

@@ -120,7 +120,7 @@ mod tests {
             std::fs::write(folder.path().join(format!("{name}.json")), record.to_string()).expect("written");
         }
         let committed = Committed::read(folder.path());
-        case(&groups(&committed.records), &committed, &Report(Vec::new()))
+        case(&groups(&committed.records).expect("comparisons"), &committed, &Report(Vec::new()))
     }
 
     #[test]

@@ -50,7 +50,7 @@ pub fn write(results: &Path, pictures: Option<&Path>, out: &Path) -> anyhow::Res
 
 fn page(results: &Path, pictures: Option<&Path>) -> anyhow::Result<String> {
     let committed = Committed::read(results);
-    let groups = versus::groups(&committed.records);
+    let groups = versus::groups(&committed.records)?;
     let bars = Bars::parse(BARS)?.check(results);
     let picture = match pictures {
         Some(folder) => stills::stills(folder)?,
