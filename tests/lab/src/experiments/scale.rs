@@ -88,7 +88,8 @@ impl Axis {
             Self::Views => [128, 256, 512, 1024]
                 .map(|pixels| Point { pixels, ..still(1, USUAL_QUADS) }.at(2 * pixels * pixels))
                 .into(),
-            Self::Viewers => [1, 2, 4, 8]
+            // More that come at once, and have said nothing yet, are turned away.
+            Self::Viewers => [1, 2, 3, 4]
                 .map(|viewers| Point { viewers, ..moving(USUAL_QUADS, USUAL_JOINTS) }.at(viewers))
                 .into(),
         }
