@@ -78,6 +78,7 @@ impl Scene {
     }
 }
 
+/// With the placement in the client's memory.
 #[divan::bench]
 fn draw_list_update(bencher: Bencher) {
     let mut scene = Scene::new();

@@ -10,7 +10,7 @@ fn main() {
     divan::main();
 }
 
-/// Sizes and places of blocks. The first step of each is what the views show; it is not counted.
+/// Sizes and places of blocks. What the views show is made before, and not counted.
 #[divan::bench]
 fn layout(bencher: Bencher) {
     let placing = std::cell::RefCell::new(Placing::settled());

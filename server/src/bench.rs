@@ -17,7 +17,7 @@ use shadecast_shaders::generated::SeenGpu;
 
 /// Quads along a side of the grid.
 const SIDE: u32 = 216;
-/// Patches of the scene: as many as nine dragons have.
+/// Patches of the scene.
 pub const PATCHES: u32 = SIDE * SIDE;
 const VERTICES: u32 = (SIDE + 1) * (SIDE + 1);
 /// Of all patches a half is in view; with each update a hundredth of all comes into view, and as many leave it.
@@ -92,7 +92,7 @@ impl Placing {
         placing
     }
 
-    /// What the next update sees: each patch of one to three blocks of four texels a side.
+    /// What the next update sees: patches of 3 to 12 texels a side.
     pub fn see(&mut self) {
         self.update += 1;
         let first = self.update * COMES;
@@ -128,7 +128,7 @@ impl Placing {
         bytes
     }
 
-    /// Goes over what the next update sees once, and over the states of all patches: less cannot be done.
+    /// Goes once over what was seen and over what is placed: less cannot be done.
     pub fn floor(&self) -> u64 {
         let seen = self.seen.iter().map(|seen| u64::from(seen.extent_texels & 0xffff)).sum::<u64>();
         seen + self.layout.live().map(|(_, block)| u64::from(block.size.texels())).sum::<u64>()
