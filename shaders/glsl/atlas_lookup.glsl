@@ -9,6 +9,11 @@ vec2 inside_block(vec2 at, vec4 block) {
     return clamp(at, block.xy + BLOCK_INSET_TEXELS, block.zw - BLOCK_INSET_TEXELS);
 }
 
+// The nearest place where no lookup of chroma leaves the block: its samples lie farther apart.
+vec2 inside_chroma(vec2 at, vec4 block) {
+    return clamp(at, block.xy + CHROMA_INSET_TEXELS, block.zw - CHROMA_INSET_TEXELS);
+}
+
 // Places of the five lookups, texels, and the weights that they are made of, by axis.
 struct CubicTaps {
     vec2 first, middle, last;

@@ -11,7 +11,7 @@ vec3 picture_rgb(vec2 at, vec2 chroma_at);
 void copy_texel(SettleTileGpu tile, uvec2 at) {
     vec2 first = vec2(texel_of(tile.from)), end = first + vec2(block_extent(tile));
     vec2 middle = first + vec2(at) + 0.5;
-    vec3 rgb = picture_rgb(middle, clamp(middle, first + BLOCK_INSET_TEXELS, end - BLOCK_INSET_TEXELS));
+    vec3 rgb = picture_rgb(middle, clamp(middle, first + CHROMA_INSET_TEXELS, end - CHROMA_INSET_TEXELS));
     uint light = packed_light(linear_from_srgb(clamp(rgb, 0.0, 1.0)));
     imageStore(written, ivec3(texel_of(tile.to) + at, layer_of(tile)), uvec4(light));
 }

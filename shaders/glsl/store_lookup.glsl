@@ -19,7 +19,7 @@ float store_level(vec4 footprint, float highest, vec2 pixel) {
 
 // The nearest place from which a lookup in a level has no texel of another block.
 vec2 inside_level(vec2 at, vec4 block, float level) {
-    float inset = max(0.5 * exp2(level), float(BLOCK_INSET_TEXELS));
+    float inset = max(0.5 * exp2(level), BLOCK_INSET_TEXELS);
     return clamp(at, block.xy + inset, block.zw - inset);
 }
 

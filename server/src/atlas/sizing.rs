@@ -21,7 +21,7 @@ const LEAST_TURNS_SHARE: f32 = 0.01;
 /// changes its size only when the extent is clearly larger or smaller than what that size is for.
 pub(crate) fn wanted_size(extent: [f32; 2], current: Option<BlockSize>) -> BlockSize {
     let side = |texels: f32, current: Option<u8>| {
-        let needed = texels + 2.0 * BLOCK_INSET_TEXELS as f32;
+        let needed = texels + 2.0 * BLOCK_INSET_TEXELS;
         match current {
             Some(now)
                 if side_log2(needed / GROW_BEYOND) <= now && now <= side_log2(needed / SHRINK_BELOW) =>

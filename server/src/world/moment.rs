@@ -164,7 +164,7 @@ impl Surfaces for SceneSurfaces<'_> {
 
 /// The part of a patch's extent by which its block's gutter reaches beyond it at most: a triangle of three is half as wide.
 fn beyond(kind: PatchKind, block: Block) -> f32 {
-    let of_side = |side: u32| BLOCK_INSET_TEXELS as f32 / (side - 2 * BLOCK_INSET_TEXELS) as f32;
+    let of_side = |side: u32| BLOCK_INSET_TEXELS / (side as f32 - 2.0 * BLOCK_INSET_TEXELS);
     let both = of_side(block.size.width()) + of_side(block.size.height());
     if kind == PatchKind::Three { 2.0 * both } else { both }
 }

@@ -1,7 +1,7 @@
 //! Twin of `atlas_lookup.glsl`: a colour from the atlas's texels.
 
 use glam::Vec2;
-use shadecast_protocol::limits::BLOCK_INSET_TEXELS;
+use shadecast_protocol::limits::{BLOCK_INSET_TEXELS, CHROMA_INSET_TEXELS};
 
 /// One plane of an atlas, rows from the top.
 pub struct Plane {
@@ -60,8 +60,16 @@ impl Plane {
 }
 
 /// The nearest place that a patch's triangles map to.
-pub fn inside_block(at: Vec2, [left, top, right, bottom]: BlockRect) -> Vec2 {
-    let inset = BLOCK_INSET_TEXELS as f32;
+pub fn inside_block(at: Vec2, block: BlockRect) -> Vec2 {
+    less_inset(at, block, BLOCK_INSET_TEXELS)
+}
+
+/// The nearest place where no lookup of chroma leaves the block.
+pub fn inside_chroma(at: Vec2, block: BlockRect) -> Vec2 {
+    less_inset(at, block, CHROMA_INSET_TEXELS)
+}
+
+fn less_inset(at: Vec2, [left, top, right, bottom]: BlockRect, inset: f32) -> Vec2 {
     at.clamp(Vec2::new(left, top) + inset, Vec2::new(right, bottom) - inset)
 }
 

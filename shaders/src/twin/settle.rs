@@ -1,6 +1,6 @@
 //! Twin of `client_settle.comp` and `client_settle_mip.comp`: a block of a picture, and its mip levels, as the store keeps them.
 
-use super::atlas_lookup::{Plane, inside_block};
+use super::atlas_lookup::{Plane, inside_chroma};
 use crate::color::{linear_from_srgb, rgb_from_ycbcr};
 use crate::constants::STORE_LEVELS;
 use glam::{UVec3, Vec2, Vec3};
@@ -57,7 +57,7 @@ fn finest(picture: &I420, from: Block) -> LevelTexels {
     let texel = |at: u32| {
         let (x, y) = (left + at % from.size.width(), top + at / from.size.width());
         let middle = Vec2::new(x as f32, y as f32) + 0.5;
-        let of_chroma = inside_block(middle, rect.map(|side| side as f32)) * 0.5;
+        let of_chroma = inside_chroma(middle, rect.map(|side| side as f32)) * 0.5;
         let ycbcr = [luma.linear(middle), cb.linear(of_chroma), cr.linear(of_chroma)];
         rgb_from_ycbcr(ycbcr).clamp(Vec3::ZERO, Vec3::ONE).map(linear_from_srgb)
     };

@@ -19,7 +19,7 @@ pub fn level(across: Vec2, down: Vec2, highest: f32, pixel: Vec2) -> f32 {
 
 /// The nearest place from which a lookup in a level has no texel of another block.
 pub fn inside_level(at: Vec2, [left, top, right, bottom]: BlockRect, level: f32) -> Vec2 {
-    let inset = (0.5 * level.exp2()).max(BLOCK_INSET_TEXELS as f32);
+    let inset = (0.5 * level.exp2()).max(BLOCK_INSET_TEXELS);
     at.clamp(Vec2::new(left, top) + inset, Vec2::new(right, bottom) - inset)
 }
 

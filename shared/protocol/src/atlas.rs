@@ -279,12 +279,12 @@ impl Block {
     }
 
     /// The rectangle to which the patch's unit square maps, in texel coordinates (a texel's centre is at +0.5): left,
-    /// top, right, bottom. It is inset by one luma texel. Luma centres start at +0.5 and centre-sited half-resolution
-    /// chroma centres at +1, so that no bilinear tap of non-zero weight of either plane leaves the block.
+    /// top, right, bottom. It goes from the middle of the first luma texel to that of the last, so that no bilinear lookup of
+    /// luma leaves the block. Centre-sited half-resolution chroma is looked up within `CHROMA_INSET_TEXELS`.
     pub fn lookup_rect_texels(self) -> [f32; 4] {
         let [left, top, right, bottom] = self.rect_texels();
         let inset = BLOCK_INSET_TEXELS;
-        [(left + inset) as f32, (top + inset) as f32, (right - inset) as f32, (bottom - inset) as f32]
+        [left as f32 + inset, top as f32 + inset, right as f32 - inset, bottom as f32 - inset]
     }
 
     /// True where the two blocks share a texel.

@@ -29,4 +29,4 @@ mod goldens;
 mod testing;
 
 /// Version of the wire format. A change of the bytes without a change of this number fails the wire goldens.
-pub const PROTOCOL_VERSION: u32 = 9;
+pub const PROTOCOL_VERSION: u32 = 10;

@@ -82,8 +82,11 @@ pub const BLOCK_MIN_LOG2: u32 = 2;
 pub const BLOCK_MAX_LOG2: u32 = 9;
 /// Smallest side of a superblock is `1 << SUPERBLOCK_MIN_LOG2` texels.
 pub const SUPERBLOCK_MIN_LOG2: u32 = 6;
-/// A patch's unit square maps to its block less this many luma texels on each side.
-pub const BLOCK_INSET_TEXELS: u32 = 1;
+/// A patch's unit square maps to its block less this many luma texels on each side: from the middle of the first texel to that of
+/// the last.
+pub const BLOCK_INSET_TEXELS: f32 = 0.5;
+/// Chroma is looked up in a block less this many luma texels on each side: from the middle of the first sample to that of the last.
+pub const CHROMA_INSET_TEXELS: f32 = 1.0;
 /// Sides of a page of the store in texels.
 pub const STORE_PAGE_SIDE: u32 = 2048;
 /// Pages that a store may have: 500 MB at four bytes a texel.
@@ -200,7 +203,7 @@ const _: () = {
     assert!(STORE_PAGE_SIDE <= 1 << (10 + BLOCK_MIN_LOG2), "10 bits of address");
     assert!(BLOCK_MAX_LOG2 - BLOCK_MIN_LOG2 < 8, "3 bits of size");
     assert!(SUPERBLOCK_MIN_LOG2 >= BLOCK_MIN_LOG2 && SUPERBLOCK_MIN_LOG2 <= BLOCK_MAX_LOG2);
-    assert!(2 * BLOCK_INSET_TEXELS < 1 << BLOCK_MIN_LOG2, "the smallest block keeps an inside");
+    assert!(2.0 * CHROMA_INSET_TEXELS < (1 << BLOCK_MIN_LOG2) as f32, "the smallest block keeps an inside");
     assert!(ATLAS_MAX_EXTENT[0].is_power_of_two() && ATLAS_MAX_EXTENT[1].is_power_of_two());
     assert!(ATLAS_MIN_SIDE <= ATLAS_MAX_EXTENT[0] && ATLAS_MIN_SIDE <= ATLAS_MAX_EXTENT[1]);
     assert!(

@@ -551,7 +551,7 @@ fn corners_lie_in_the_blocks_lookup_rectangle() {
     let drawn = bench.list.at(GridIndex(1));
     assert_eq!((drawn.ranges(), drawn.withheld_patches), ([[0, 3], [INDICES, 0]], 0));
     let texels: Vec<_> = bench.corners[..3].iter().map(|corner| corner.atlas_texel).collect();
-    assert_eq!(texels, [[9.0, 5.0], [15.0, 5.0], [9.0, 7.0]]);
+    assert_eq!(texels, [[8.5, 4.5], [15.5, 4.5], [8.5, 7.5]]);
     assert_eq!(bench.indices[..3], [0, 1, 2]);
     assert_eq!(bench.corners[2].vertex_slot, 2);
 }

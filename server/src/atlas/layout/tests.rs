@@ -1,4 +1,5 @@
 use super::*;
+use crate::atlas::sizing::wanted_size;
 use crate::pacing::pressure::RECOVER_AFTER_UPDATES;
 use crate::scene::geometry::test_geometry::Loose;
 use crate::scene::numbering::{InstanceSize, Numbering};
@@ -477,13 +478,12 @@ fn what_is_asked_for_is_there_after_a_while() {
         changed_share(&mut layout, &finer, 2.0);
     }
     assert_eq!(layout.used_share(), settled);
-    let mut at_once = Layout::new(AtlasExtent::new(2048, 2048).expect("an atlas"), 1000);
-    changed_share(&mut at_once, &finer, 2.0);
-    let is_as_large = |(patch, block): (ScenePatch, Block)| {
-        let now = layout.states[patch.index()].block.expect("it is in view");
-        now.size.texels() >= block.size.texels() / 2
+    let stays = |(patch, block): (ScenePatch, Block)| {
+        let packed = finer[patch.index()];
+        let extent = [packed & 0xffff, packed >> 16].map(|side| side as f32);
+        wanted_size(extent, Some(block.size)) == block.size
     };
-    assert!(at_once.live().all(is_as_large));
+    assert!(layout.live().all(stays));
 }
 
 #[test]

@@ -1,4 +1,5 @@
 use super::*;
+use crate::limits::CHROMA_INSET_TEXELS;
 
 #[test]
 fn an_atlas_has_powers_of_two_within_the_limits_and_nothing_else() {
@@ -70,11 +71,13 @@ fn lookups_never_reach_a_neighbours_luma_or_chroma() {
             let [left, _, right, _] = block.rect_texels().map(i64::from);
             let [from, _, to, _] = block.lookup_rect_texels().map(f64::from);
             let steps = (to - from) as u32 * 64;
+            let inset = f64::from(CHROMA_INSET_TEXELS);
             for step in 0..=steps {
                 let at = from + (to - from) * f64::from(step) / f64::from(steps);
                 let (low, high) = taps(at);
                 assert!(low >= left && high < right, "luma {low}..={high} of {left}..{right} at {at}");
-                let (low, high) = taps(at * 0.5);
+                let of_chroma = at.clamp(left as f64 + inset, right as f64 - inset);
+                let (low, high) = taps(of_chroma * 0.5);
                 assert!(
                     low >= left / 2 && high < right / 2,
                     "chroma {low}..={high} of {left}..{right} at {at}"
@@ -85,8 +88,8 @@ fn lookups_never_reach_a_neighbours_luma_or_chroma() {
 }
 
 #[test]
-fn half_the_inset_would_reach_a_neighbours_chroma() {
-    let at = 64.0 + 0.5;
+fn the_inset_of_luma_would_reach_a_neighbours_chroma() {
+    let at = 64.0 + f64::from(BLOCK_INSET_TEXELS);
     assert!(taps(at).0 >= 64, "luma alone would allow it");
     assert!(taps(at * 0.5).0 < 32);
 }
