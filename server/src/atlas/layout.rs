@@ -24,6 +24,7 @@ use shadecast_protocol::atlas::allocator::Atlas;
 use shadecast_protocol::atlas::{AtlasExtent, Block, BlockSize};
 use shadecast_protocol::ids::UpdateId;
 use shadecast_protocol::limits::BLOCK_MIN_LOG2;
+use shadecast_protocol::pose::Pose;
 use shadecast_shaders::generated::SeenGpu;
 use std::collections::VecDeque;
 
@@ -67,6 +68,8 @@ pub struct Layout {
     overflow_share: f32,
     /// What part of the atlas blocks took when density rose last.
     share_at_rise: f32,
+    /// The head that the update is shaded for.
+    world_from_head: Pose,
     update: u32,
     coarsened: u32,
     dropped: usize,
@@ -145,6 +148,7 @@ impl Layout {
             settled_share: 0.0,
             overflow_share: 1.0,
             share_at_rise: 1.0,
+            world_from_head: Pose::IDENTITY,
             update: 0,
             coarsened: 0,
             dropped: 0,
@@ -185,6 +189,11 @@ impl Layout {
     /// Blocks that change when it is their turn have so many texels with an update at most, or are one.
     pub(crate) fn resize_by(&mut self, most_texels: u64) {
         self.most_resized_texels = most_texels;
+    }
+
+    /// Where the head is that this update is shaded for.
+    pub(crate) fn look_from(&mut self, world_from_head: Pose) {
+        self.world_from_head = world_from_head;
     }
 
     /// Takes in what this update's views show; of several visibility passes the last counts.
@@ -254,7 +263,7 @@ impl Layout {
         before.extend(self.all_placed().map(|placed| (placed.patch, placed.block)));
         self.choose(geometry, lods, room);
         self.choose_around(geometry, lods, room);
-        self.serve(update);
+        self.serve(geometry, update);
         self.release(&before);
         self.recover();
         self.place_live();

@@ -112,6 +112,8 @@ pub(crate) struct Settling {
     pub block: Block,
     /// The largest extent that was seen of it, pixels.
     pub pixels: [f32; 2],
+    /// The last update that had it in view.
+    pub seen: UpdateId,
 }
 
 impl Copy {
@@ -181,12 +183,14 @@ impl Store {
     }
 
     /// What a patch in view is shown from with this update, where its extent is so many pixels and blocks have `density` texels for one. A
-    /// copy that is too coarse, or coded coarsely for today, is given up, a few with each update.
+    /// copy that is too coarse, or coded coarsely for today, is given up, a few with each update, where it may be
+    /// judged.
     pub(crate) fn serve(
         &mut self,
         patch: ScenePatch,
         (update, density): (UpdateId, f32),
         pixels: [f32; 2],
+        is_judged: impl FnOnce() -> bool,
     ) -> Served {
         let newest_qp = self.qps.front().map(|(_, qp)| *qp);
         let Some(copy) = self.copies.get_mut(&patch) else { return Served::Atlas(None) };
@@ -201,7 +205,7 @@ impl Store {
         let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + finer_steps);
         let (pixels, texels) = (copy.pixels, u64::from(copy.size_at(density).texels()));
         let is_due = copy.settled < update && (wider + higher >= most || is_coarse);
-        if is_due && texels <= self.renewable_texels {
+        if is_due && texels <= self.renewable_texels && is_judged() {
             self.renewable_texels -= texels;
             self.give_up(patch);
             return Served::Atlas(Some(pixels));
@@ -285,7 +289,7 @@ impl Store {
     }
 
     /// The blocks in view that settle with an update: given with their blocks in the atlas, ascending. Each update goes on where the one
-    /// before had no room. They are `most_blocks` at most, where blocks have so many texels for a pixel. `put` takes each with its place.
+    /// before had no room. They are `most_blocks` at most, and a part of the atlas or one, where blocks have so many texels for a pixel. `put` takes each with its place.
     pub(crate) fn settle(
         &mut self,
         (update, most_blocks, density): (UpdateId, usize, f32),
@@ -295,24 +299,31 @@ impl Store {
         if self.pages.is_empty() {
             return;
         }
-        let (mut left_texels, mut left_blocks) = (self.atlas_texels / MOST_SETTLED_PART, most_blocks);
+        let most_texels = self.atlas_texels / MOST_SETTLED_PART;
+        let (mut left_texels, mut left_blocks) = (most_texels, most_blocks);
         let first = std::mem::take(&mut self.next);
         let from_first = live.clone().filter(|settling| settling.patch >= first);
         let before_first = live.filter(|settling| settling.patch < first);
-        for Settling { patch, block, pixels } in from_first.chain(before_first) {
+        for Settling { patch, block, pixels, seen } in from_first.chain(before_first) {
             let texels = u64::from(block.size.texels());
             let shaded = self.shaded[patch.index()];
             let after = SETTLES_AFTER_UPDATES << self.stale[patch.index()];
             if shaded == 0 || update.0 < shaded - 1 + after || self.copies.contains_key(&patch) {
                 continue;
             }
-            if texels > left_texels || left_blocks == 0 {
+            // What was shaded out of view is filtered for no pixel of the display.
+            if UpdateId(shaded - 1) > seen {
+                continue;
+            }
+            // One that is larger than all of them settles alone.
+            let has_room = texels <= left_texels || left_texels == most_texels;
+            if !has_room || left_blocks == 0 {
                 self.next = if self.next == ScenePatch(0) { patch } else { self.next };
                 continue;
             }
             let Some(qp) = self.finest_qp_since(UpdateId(shaded - 1)) else { continue };
             let Some(to) = self.take(block.size, update, density) else { break };
-            (left_texels, left_blocks) = (left_texels - texels, left_blocks - 1);
+            (left_texels, left_blocks) = (left_texels.saturating_sub(texels), left_blocks - 1);
             self.copies.insert(patch, Copy { block: to, settled: update, shown: update, qp, pixels });
             if !std::mem::replace(&mut self.was_copied[patch.index()], true) {
                 self.come_texels += texels;

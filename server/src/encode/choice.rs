@@ -11,6 +11,9 @@ use std::sync::atomic::{AtomicUsize, Ordering};
 use std::time::Duration;
 use thiserror::Error;
 
+/// The encoder that is built in.
+pub const OPENH264: &str = "openh264";
+
 /// What a user asks for.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub enum Wanted {
@@ -70,10 +73,9 @@ impl Kind {
     }
 }
 
-/// The encoder that is built in.
 fn openh264() -> Kind {
     let make = |settings| Ok(Box::new(OpenH264Encoder::new(settings)?) as Box<dyn Encoder>);
-    Kind { name: "openh264", make: Arc::new(make) }
+    Kind { name: OPENH264, make: Arc::new(make) }
 }
 
 /// All that this program could have, best first, each with why it is of no use here.
@@ -126,7 +128,7 @@ impl Encoders {
             match found {
                 None => return Err(no("this program has no encoder of that name")),
                 Some((_, Err(reason))) => return Err(no(reason)),
-                Some((_, Ok(()))) => kinds.retain(|kind| kind.name == name || kind.name == "openh264"),
+                Some((_, Ok(()))) => kinds.retain(|kind| kind.name == name || kind.name == OPENH264),
             }
         }
         Ok(Self { kinds: kinds.into(), first: Arc::default() })
@@ -141,7 +143,7 @@ impl Encoders {
     ///
     /// # Errors
     /// The settings are outside of their ranges, or none can be made.
-    pub(crate) fn encoder(&self, settings: EncoderSettings) -> Result<Box<dyn Encoder>, EncodeError> {
+    pub fn encoder(&self, settings: EncoderSettings) -> Result<Box<dyn Encoder>, EncodeError> {
         let (number, encoder) = self.make(self.first.load(Ordering::Relaxed), settings)?;
         if number + 1 == self.kinds.len() {
             return Ok(encoder);

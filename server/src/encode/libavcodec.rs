@@ -35,7 +35,7 @@ pub struct Candidate {
     /// Its name in the library.
     pub name: &'static str,
     /// Its options, as the library writes them; `{qp}` is the quantiser, `{lambda}` the same in the library's units of quality,
-    /// `{threads}` the number of slices and threads.
+    /// `{threads}` the number of slices and threads, `{no_deblock}` whether the loop filter is off.
     options: &'static [(&'static str, &'static str)],
     /// The option by which the quantiser changes while it is open.
     live_qp: Option<&'static CStr>,
@@ -121,7 +121,7 @@ pub const X264_PRESETS: [(&str, Candidate); 3] = [
 
 const X264: Candidate =
     Candidate { name: "libx264", options: &[], live_qp: Some(c"crf"), is_nv12: false, device: None };
-const X264_PARAMS: &str = "no-deblock=1:aq-mode=0:mbtree=0:qcomp=1:ipratio=1:scenecut=0:keyint=infinite:ref=1:\
+const X264_PARAMS: &str = "no-deblock={no_deblock}:aq-mode=0:mbtree=0:qcomp=1:ipratio=1:scenecut=0:keyint=infinite:ref=1:\
                            bframes=0:rc-lookahead=0:sync-lookahead=0:sliced-threads=1:slices={threads}:\
                            repeat-headers=1:annexb=1:cabac=1:weightp=0";
 const X264_ULTRAFAST: [(&str, &str); 5] = x264("ultrafast");
@@ -562,7 +562,8 @@ fn options(candidate: &Candidate, settings: &EncoderSettings) -> *mut av::AVDict
         let value = value
             .replace("{qp}", &settings.qp.to_string())
             .replace("{lambda}", &(u32::from(settings.qp) * LAMBDA_OF_QP).to_string())
-            .replace("{threads}", &settings.threads.to_string());
+            .replace("{threads}", &settings.threads.to_string())
+            .replace("{no_deblock}", if settings.loop_filter { "0" } else { "1" });
         if let (Ok(name), Ok(value)) = (CString::new(*name), CString::new(value)) {
             // SAFETY: both are strings of C, which the dictionary copies.
             unsafe { av::av_dict_set(&mut options, name.as_ptr(), value.as_ptr(), 0) };

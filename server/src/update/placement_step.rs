@@ -210,6 +210,7 @@ impl PlacementStep {
         PlacementInput { start, lods, .. }: &PlacementInput,
     ) -> UpdateDelta {
         let mut changes: Vec<PlacementChange> = std::mem::take(&mut self.changes);
+        self.layout.look_from(start.views.world_from_head);
         self.layout.place(world.samples(), lods, (self.room, start.update), &mut changes); // 4, 5
         let filled = Filled {
             share: self.layout.settled_share(),

@@ -206,7 +206,8 @@ fn read_toml<'a>(source: &Source<'a>) -> Result<DeTable<'a>, SceneError> {
     Ok(document.into_inner())
 }
 
-/// The head paths that every scene has: standing still, turning, walking a few steps, and a stride that turns.
+/// The head paths that every scene has: standing still, turning, walking a few steps, a stride that turns, sitting, peeking, and an
+/// abrupt start.
 pub fn built_in_head_paths() -> Vec<HeadPath> {
     let source = Source::new(include_str!("head_paths.toml"), "built-in head paths");
     let read = || view::read_head_paths(&Fields::new(&source, "", &read_toml(&source)?, 1, &["head_path"])?);

@@ -3,10 +3,14 @@
 use super::{Layout, State};
 use crate::atlas::placement::{Placed, PlacementChange};
 use crate::atlas::store::{Served, Settling, Store};
+use crate::scene::geometry::{Geometry, vertices_of_patch};
 use crate::scene::numbering::ScenePatch;
 use crate::support::merged::merged;
+use glam::Vec3;
 use shadecast_protocol::atlas::{Block, PixelTexels};
 use shadecast_protocol::ids::UpdateId;
+use shadecast_protocol::pose::Pose;
+use shadecast_shaders::constants::EDGE_COSINE;
 
 /// Of the texels of the atlas, this part becomes grey with an update at most: grey takes bits once.
 const CLEARED_PART: u32 = 32;
@@ -33,14 +37,16 @@ impl State {
 
 impl Layout {
     /// Takes out of what needs a block in the atlas what the store has.
-    pub(super) fn serve(&mut self, update: UpdateId) {
+    pub(super) fn serve(&mut self, geometry: &impl Geometry, update: UpdateId) {
         self.store.begin(update);
         let density = self.sized_for();
-        let Self { live, around, store, served, states, .. } = self;
+        let Self { live, around, store, served, states, world_from_head, .. } = self;
         served.clear();
         live.retain(|patch| {
             let state = &mut states[patch.index()];
-            let served_from = store.serve(*patch, (update, density), state.pixels());
+            // Views between here and there show what is behind the head by then, and stretch it.
+            let is_judged = || is_before(*world_from_head, geometry, *patch);
+            let served_from = store.serve(*patch, (update, density), state.pixels(), is_judged);
             match served_from {
                 Served::Copy(block) => {
                     served.push(Placed { patch: *patch, block, is_around: false, is_hidden: false });
@@ -101,13 +107,14 @@ impl Layout {
         mut put: impl FnMut(ScenePatch, Block, PixelTexels),
     ) {
         let density = self.sized_for();
-        let Self { live, states, store, .. } = self;
+        let Self { live, states, store, update: this, .. } = self;
         let with_pixel =
             |patch: ScenePatch, block: Block| put(patch, block, states[patch.index()].pixel(block));
         let in_atlas = live.iter().filter_map(|patch| {
             let state = &states[patch.index()];
             let pixels = [0, 1].map(|axis| state.pixels()[axis].max(state.copied_pixels[axis]));
-            Some(Settling { patch: *patch, block: state.block?, pixels })
+            let seen = UpdateId(update.0.saturating_sub(*this - state.last_seen));
+            Some(Settling { patch: *patch, block: state.block?, pixels, seen })
         });
         let settling = in_atlas.filter(|settling| may(settling.patch));
         store.settle((update, most_blocks, density), settling, with_pixel);
@@ -128,6 +135,17 @@ impl Layout {
     pub(crate) fn store_mut(&mut self) -> &mut Store {
         &mut self.store
     }
+}
+
+/// Whether a corner of a patch that stands lies where shading filters for a pixel of the display (`footprint.glsl`).
+fn is_before(world_from_head: Pose, geometry: &impl Geometry, patch: ScenePatch) -> bool {
+    let axis = world_from_head.orientation * Vec3::NEG_Z;
+    vertices_of_patch(geometry, patch).any(|vertex| {
+        geometry.static_position(vertex).is_none_or(|place| {
+            let way = place - world_from_head.position;
+            axis.dot(way) >= EDGE_COSINE * way.length()
+        })
+    })
 }
 
 #[cfg(test)]

@@ -500,6 +500,26 @@ fn a_surround_gives_way_where_what_is_in_view_takes_all_blocks_of_the_smallest_s
 }
 
 #[test]
+fn what_was_shaded_out_of_view_does_not_settle() {
+    let mut layout = layout([512, 512], 2).with_store(1);
+    let settled = |layout: &mut Layout, extents: [u32; 2], shaded: &[u32]| {
+        place_both(layout, &extents, &[0, 0]);
+        let now = UpdateId(layout.update);
+        shaded.iter().for_each(|patch| layout.store_mut().shaded(ScenePatch(*patch), now));
+        layout.store_mut().coded(now, 20);
+        let mut put = Vec::new();
+        layout.settle((now, usize::MAX), |_| true, |patch, _, _| put.push(patch));
+        put
+    };
+    assert_eq!(settled(&mut layout, [pack(8, 8); 2], &[]), [], "they are not coded yet");
+    // The second is out of view, held, and shaded there.
+    assert_eq!(settled(&mut layout, [pack(8, 8), 0], &[1]), [ScenePatch(0)]);
+    assert_eq!(settled(&mut layout, [pack(8, 8), 0], &[]), []);
+    assert_eq!(settled(&mut layout, [pack(8, 8); 2], &[1]), []);
+    assert_eq!(settled(&mut layout, [pack(8, 8); 2], &[]), [ScenePatch(1)]);
+}
+
+#[test]
 fn what_leaves_the_store_has_a_block_in_the_atlas_whether_in_view_or_around() {
     const PATCHES: u64 = 100;
     let mut layout = layout([1024, 512], PATCHES as usize).with_surround(0.4).with_store(1);

@@ -28,6 +28,7 @@ fn few_settled(
         patch: ScenePatch(patch),
         block: block(patch, log2),
         pixels: pixels([log2; 2]),
+        seen: UpdateId(update),
     });
     store.settle((UpdateId(update), most_blocks, 1.0), live, |patch, to| settled.push((patch.0, to)));
     settled
@@ -49,7 +50,7 @@ fn serves(store: &mut Store, patch: u32, update: u32) -> Option<Block> {
 }
 
 fn serves_to(store: &mut Store, patch: u32, update: u32, pixels: [f32; 2]) -> Option<Block> {
-    match store.serve(ScenePatch(patch), (UpdateId(update), 1.0), pixels) {
+    match store.serve(ScenePatch(patch), (UpdateId(update), 1.0), pixels, || true) {
         Served::Copy(block) => Some(block),
         Served::Atlas(_) => None,
     }
@@ -79,6 +80,16 @@ fn of_many_blocks_few_settle_at_a_time_until_all_have() {
     let turns = [3, 0, 3, 3].map(|most| few_settled(&mut store, (now, most), 0..7, 4));
     let patches = turns.map(|turn| turn.iter().map(|(patch, _)| *patch).collect::<Vec<_>>());
     assert_eq!(patches, [vec![0, 1, 2], vec![], vec![3, 4, 5], vec![6]]);
+}
+
+#[test]
+fn a_block_that_is_larger_than_what_may_settle_settles_alone() {
+    let mut store = Store::new(1, PATCHES, AtlasExtent::new(1024, 512).expect("an atlas"));
+    shade(&mut store, 0..2, 0);
+    let patches =
+        |settled: Vec<(u32, Block)>| settled.into_iter().map(|(patch, _)| patch).collect::<Vec<_>>();
+    assert_eq!(patches(settled(&mut store, 1, 0..2, 8)), [0]);
+    assert_eq!(patches(settled(&mut store, 2, 0..2, 8)), [1]);
 }
 
 #[test]
@@ -153,7 +164,7 @@ fn a_copy_made_anew_is_for_all_views_that_were_seen() {
     settled(&mut store, 20, 0..1, 5);
     store.begin(UpdateId(21));
     assert!(serves_to(&mut store, 0, 21, pixels([3, 5])).is_some());
-    let seen = store.serve(ScenePatch(0), (UpdateId(22), 1.0), pixels([3, 6]));
+    let seen = store.serve(ScenePatch(0), (UpdateId(22), 1.0), pixels([3, 6]), || true);
     let [across, down] = [pixels([5; 2])[0], pixels([6; 2])[1]];
     assert_eq!(seen, Served::Atlas(Some([across, down])), "other views need its width");
 }

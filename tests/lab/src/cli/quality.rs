@@ -11,6 +11,9 @@ pub(super) struct QualityCommandArgs {
     /// Latencies of the links, milliseconds one way, each with a jitter of a half of it and at most 10 ms
     #[arg(long, value_name = "MS", value_delimiter = ',', default_values_t = LATENCIES_MS)]
     latencies: Vec<f64>,
+    /// Packets that each of the links loses, percent
+    #[arg(long, value_name = "PERCENT", default_value_t = 0.0)]
+    lost: f64,
     /// Runs all twelve videos, instead of a search for the best
     #[arg(long)]
     all_videos: bool,
@@ -55,7 +58,8 @@ pub(super) fn run(args: QualityCommandArgs) -> anyhow::Result<()> {
     );
     let others = if args.only_videos { Vec::new() } else { Compared::default().others };
     let compared = Compared { others, videos };
-    let links: Vec<String> = args.latencies.into_iter().map(quality::link).collect();
+    let links: Vec<String> =
+        args.latencies.iter().map(|latency_ms| quality::link(*latency_ms, args.lost)).collect();
     let options = run_options(args.run)?;
     let found = quality::measure(&options, &scene, &links, &compared)?;
     print!("{found}");

@@ -11,6 +11,7 @@ use shadecast_lab::session::options::{
     ViewerOptions, parse_room,
 };
 use shadecast_protocol::limits::MAX_STORE_PAGES;
+use shadecast_server::encode::choice::OPENH264;
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::pacing::room::Room;
 use shadecast_server::update::ShowOptions;
@@ -89,6 +90,9 @@ pub(super) struct RunArgs {
     /// renderers have it; 4: nearly all the light that a pixel covers
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = value_parser!(u32).range(1..=8))]
     truth_places: u32,
+    /// H.264 encoder of atlas and video: openh264, or libx264 with the feature libavcodec
+    #[arg(long, value_name = "NAME", default_value = OPENH264)]
+    encoder: String,
     /// Milliseconds that stages take; measured encodes of 2048x2048 texels take 13 to 65
     #[arg(long, default_value = "server=12,encode=8,decode=6")]
     stage_ms: StageMs,
@@ -219,6 +223,7 @@ pub(super) fn run_options(args: RunArgs) -> anyhow::Result<RunOptions> {
         compare_pairs: args.compare_pairs,
         compare_from: args.compare_from,
         truth_places: args.truth_places,
+        encoder: args.encoder,
         compare_waiting: false,
         stages: args.stage_ms,
         validation: args.gpu.validation,

@@ -150,8 +150,9 @@ pub const LATENCIES_MS: [f64; 5] = [5.0, 20.0, 50.0, 110.0, 200.0];
 const MOST_JITTER_MS: f64 = 10.0;
 
 /// A link of so much latency, as a run takes it: with a jitter of a half of it, and at most 10 ms.
-pub fn link(latency_ms: f64) -> String {
-    format!("latency={latency_ms}ms,jitter={}ms", (latency_ms / 2.0).min(MOST_JITTER_MS))
+pub fn link(latency_ms: f64, lost_percent: f64) -> String {
+    let lost = if lost_percent > 0.0 { format!(",loss={lost_percent}%") } else { String::new() };
+    format!("latency={latency_ms}ms,jitter={}ms{lost}", (latency_ms / 2.0).min(MOST_JITTER_MS))
 }
 
 /// Small pictures, since there are a dozen ways: with as many bits a pixel as 730x730 have at 20 Mbit/s.
@@ -229,6 +230,13 @@ pub struct Compared {
     pub others: Vec<Method>,
     /// These videos; a search where there are none.
     pub videos: Vec<Video>,
+}
+
+impl Compared {
+    /// The best video, and nothing else.
+    pub fn with_videos_alone() -> Self {
+        Self { others: Vec::new(), videos: Vec::new() }
+    }
 }
 
 impl Default for Compared {
@@ -386,7 +394,7 @@ mod tests {
         let video = Video { rate_hz: USUAL_HZ, margin_degrees: 5.0, has_depth: true };
         let row = row(video, 0.1);
         let link = OverLink {
-            link: link(20.0),
+            link: link(20.0, 0.0),
             ours: Row { method: Method::Atlas, ..row.clone() },
             others: vec![Row { method: Method::AtlasAsPaper, ..row.clone() }],
             videos: vec![row],

@@ -2,6 +2,7 @@
 //! `<!-- figures NAME -->` and `<!-- /figures -->`; a test compares each with the results.
 
 use super::bars::{BARS, Bars};
+use super::long;
 use crate::experiments::causes::Causes;
 use crate::experiments::links::Links;
 use crate::experiments::live::Live;
@@ -121,6 +122,7 @@ pub(super) fn table(name: &str, results: &Path) -> anyhow::Result<String> {
         "render-thread" => printed::<RenderThread>(name, results)?,
         name if name.starts_with("links-") => printed::<Links>(name, results)?,
         "quality-short" => quality_short(results)?,
+        "quality-cases" => quality_cases(results)?,
         name if name.starts_with("quality-") => printed::<Quality>(name, results)?,
         "worth-dragons3" => printed::<Worth>(name, results)?,
         "slow-dragons3" => printed::<Slow>(name, results)?,
@@ -318,6 +320,42 @@ fn quality_short(results: &Path) -> anyhow::Result<String> {
         std::iter::once((*name).to_owned()).chain(links.iter().map(|(_, link)| cell(choose(link)))).collect()
     });
     Ok(markdown(&heads, rows))
+}
+
+/// The atlas beside the best video in each case that was measured: a row a record.
+fn quality_cases(results: &Path) -> anyhow::Result<String> {
+    let heads = [
+        "scene, head",
+        "link",
+        "Mbit/s",
+        "FLIP of the atlas",
+        "of the best video",
+        "ratio",
+        "worst PSNR, both",
+        "flicker, both",
+        "its settings",
+    ];
+    let mut rows = Vec::new();
+    for name in long::names_against_video() {
+        let Some(found) = read(results, &name) else { continue };
+        let Quality { scene, head, links } = serde_json::from_value(found).with_context(|| name)?;
+        for OverLink { link, ours, videos, flip_ratio, .. } in links {
+            let best = videos.first().context("a video")?;
+            let flicker = |row: &Row| row.flicker.unwrap_or(0.0);
+            rows.push(vec![
+                format!("{scene}, {head}"),
+                link,
+                format!("{:.1}", ours.mbit_per_s),
+                format!("{:.4}", ours.flip),
+                format!("{:.4}", best.flip),
+                format!("{flip_ratio:.2}"),
+                format!("{:.1}, {:.1} dB", ours.psnr_db[1], best.psnr_db[1]),
+                format!("{:.4}, {:.4}", flicker(&ours), flicker(best)),
+                best.method.to_string(),
+            ]);
+        }
+    }
+    Ok(if rows.is_empty() { NOT_MEASURED.to_owned() } else { markdown(&heads, rows) })
 }
 
 /// What parts of the picture cost.

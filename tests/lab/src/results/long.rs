@@ -1,6 +1,10 @@
 //! `shadecast-lab long`: the long measurements, as a list of named jobs that write a JSON file each. Existing files are kept,
 //! so an interrupted run resumes.
 
+mod against_video;
+
+pub(super) use against_video::names as names_against_video;
+
 use crate::experiments::abrupt;
 use crate::experiments::causes::{self, CAUSES, Cause};
 use crate::experiments::churn;
@@ -11,7 +15,6 @@ use crate::experiments::live;
 use crate::experiments::motion_table::{self, Condition, Kind};
 use crate::experiments::paper_size;
 use crate::experiments::picture;
-use crate::experiments::quality::{self, Compared};
 use crate::experiments::render_thread;
 use crate::experiments::run::run;
 use crate::experiments::scale::{self, Axis};
@@ -24,6 +27,8 @@ use crate::experiments::viewers::among_others;
 use crate::experiments::worth;
 use crate::results::sources::Checkout;
 use crate::scenes::assets::asset;
+use crate::scenes::hall::write_hall;
+use crate::scenes::leaves::write_leaves;
 use crate::scenes::robot::robot;
 use crate::scenes::room::{MANY_VASES, write_room};
 use crate::scenes::walls::{TEXELS, write_walls};
@@ -176,16 +181,7 @@ fn jobs() -> Vec<Job> {
         };
         jobs.push(Job::new(&format!("picture-{}", scene.name), work));
     }
-    for latency_ms in quality::LATENCIES_MS {
-        let work = move |folder: &Path| {
-            let options = quality::usual(SceneSource::Dragons(9), folder.join("run"));
-            let links = [quality::link(latency_ms)];
-            let found = quality::measure(&options, "dragons:9", &links, &Compared::default())?;
-            print!("{found}");
-            Ok(Some(serde_json::to_value(found)?))
-        };
-        jobs.push(Job::new(&format!("quality-dragons9-{latency_ms}ms"), work));
-    }
+    jobs.extend(against_video::jobs());
     for scene in CAUSED {
         let work = move |folder: &Path| {
             let Some((source, shown)) = scene.found(folder)? else { return Ok(None) };
@@ -521,8 +517,14 @@ enum LongSource {
     Asset(&'static str),
     /// Written for the run.
     Robot,
+    /// Many of it; written for the run.
+    Hall,
     /// Written for the run.
     Walls,
+    /// Cutouts that sway; written for the run.
+    Leaves,
+    /// The demo's.
+    Courtyard,
 }
 
 /// Ordinary assets, the paper's, the stiff one, and two that stand still.
@@ -590,6 +592,11 @@ impl LongScene {
                 let path = write_walls(folder, TEXELS)?;
                 Some((SceneSource::File(path), "walls.toml".to_owned()))
             }
+            LongSource::Hall => Some((SceneSource::File(write_hall(folder)?), "hall.toml".to_owned())),
+            LongSource::Leaves => {
+                Some((SceneSource::File(write_leaves(folder, true)?), "swaying.toml".to_owned()))
+            }
+            LongSource::Courtyard => Some((SceneSource::Courtyard, "courtyard".to_owned())),
         })
     }
 }

@@ -46,6 +46,7 @@ use shadecast_scene::cache::Cache;
 use shadecast_scene::load::load_scene_with;
 use shadecast_scene::process::Loading;
 use shadecast_scene::suggest::did_you_mean_or_list;
+use shadecast_server::encode::choice::{Encoders, Wanted};
 use shadecast_server::pacing::overlap::{Flight, Step as UpdateStep};
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::pacing::share::WayState;
@@ -81,6 +82,8 @@ pub struct Server {
     /// What every viewer looks at.
     pub world: World,
     codecs: &'static [Codec],
+    /// What codes pictures as H.264.
+    pub encoders: Encoders,
     quality: QualityOptions,
     stages: StageMs,
     scheduler: Scheduler<PeerId>,
@@ -185,6 +188,7 @@ impl Server {
             gpu,
             scene,
             codecs: options.medium().codecs,
+            encoders: Encoders::choose(&Wanted::Named(options.encoder.clone()))?,
             quality: options.quality,
             viewers: 0,
             atlas_extent_texels: options.atlas_extent_texels,

@@ -11,6 +11,7 @@ use shadecast_protocol::limits::{
 };
 use shadecast_protocol::message::Codec;
 use shadecast_scene::load::SceneSource;
+use shadecast_server::encode::choice::OPENH264;
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_server::pacing::room::Room;
 use shadecast_server::scene::SceneOptions;
@@ -249,6 +250,8 @@ pub struct RunOptions {
     pub compare_from: u64,
     /// Places a side of a pixel for which the truth has a colour; the pixel has their mean.
     pub truth_places: u32,
+    /// The H.264 encoder of atlas and video, as the server's `--encoder` names it.
+    pub encoder: String,
     /// Display frames before the first picture are compared too: all that they should show is missing.
     pub compare_waiting: bool,
     /// How the client finds colours between the atlas's texels.
@@ -317,6 +320,7 @@ impl RunOptions {
             compare_pairs: false,
             compare_from: 0,
             truth_places: 1,
+            encoder: OPENH264.to_owned(),
             compare_waiting: false,
             reconstruction: Reconstruction::default(),
             spared: Spared::default(),
@@ -389,6 +393,9 @@ impl RunOptions {
         }
         if self.compare_from > 0 {
             line += &format!(" --compare-from {}", self.compare_from);
+        }
+        if self.encoder != usual.encoder {
+            line += &format!(" --encoder {}", self.encoder);
         }
         if self.truth_places != usual.truth_places {
             line += &format!(" --truth-places {}", self.truth_places);

@@ -250,7 +250,11 @@ impl Seat {
         self.motion_before = self.sent.motion;
         let first_qp = server.quality.first_qp();
         let settings = EncoderSettings::for_stream(welcome.atlas_extent_texels, first_qp, server.rate_hz);
-        self.encoding = Some(Encoding::new(encode::encoder(welcome.codec, settings)?));
+        let encoder = match welcome.codec {
+            Codec::H264 => server.encoders.encoder(settings)?,
+            codec => encode::encoder(codec, settings)?,
+        };
+        self.encoding = Some(Encoding::new(encoder));
         self.ledger = (welcome.codec == Codec::H264).then(Ledger::default);
         let mut updates = ViewerUpdates::with_policy(
             &server.world,

@@ -51,6 +51,8 @@ pub(super) struct Setting {
     pub head: String,
     /// Pixels an eye.
     pub size: Option<String>,
+    /// Packets that the link loses, as a run takes it: `1%`.
+    pub lost: Option<String>,
     /// Megabits a second that all streams may take.
     pub rate_mbit: Option<f64>,
 }
@@ -90,8 +92,9 @@ impl Setting {
     pub(super) fn title(&self) -> String {
         let size = self.size.as_ref().map(|size| format!(", {size} pixels an eye"));
         let rate = self.rate_mbit.map(|rate| format!(", {rate} Mbit/s"));
+        let lost = self.lost.as_ref().map(|lost| format!(", {lost} lost"));
         let Self { scene, head, .. } = self;
-        [size, rate]
+        [size, lost, rate]
             .into_iter()
             .flatten()
             .fold(format!("{scene}, head \"{head}\""), |title, part| title + &part)
@@ -132,6 +135,7 @@ fn setting(found: &Quality, over: &OverLink) -> Setting {
         scene: found.scene.clone(),
         head: found.head.clone(),
         size: said("--size").map(str::to_owned),
+        lost: part_of_link(&over.link, "loss").map(str::to_owned),
         rate_mbit: said("--bitrate").and_then(|rate| rate.parse().ok()),
     }
 }
@@ -154,9 +158,14 @@ fn point(over: &OverLink) -> anyhow::Result<Point> {
     Ok(Point { latency_ms, link: over.link.clone(), methods })
 }
 
+/// The value of a key of a link.
+fn part_of_link<'a>(link: &'a str, key: &str) -> Option<&'a str> {
+    link.split(',').find_map(|part| part.trim().strip_prefix(key)?.strip_prefix('='))
+}
+
 /// One way: `latency=20ms` of a link.
 fn latency_ms(link: &str) -> Option<f64> {
-    let latency = link.split(',').find_map(|part| part.trim().strip_prefix("latency="))?;
+    let latency = part_of_link(link, "latency")?;
     latency.strip_suffix("ms").unwrap_or(latency).parse().ok()
 }
 
@@ -208,7 +217,7 @@ pub(super) mod tests {
             quality::Method::Video(Video { rate_hz: 30.0, margin_degrees, has_depth })
         };
         let link = OverLink {
-            link: quality::link(latency_ms),
+            link: quality::link(latency_ms, 0.0),
             ours: row(quality::Method::Atlas, ours, 31.0, bitrate),
             others: quality::Method::OTHERS.map(|method| row(method, 1.4 * ours, 31.0, bitrate)).to_vec(),
             videos: vec![

@@ -15,7 +15,8 @@ use shadecast_protocol::limits::SUPERBLOCK_MIN_LOG2;
 use shadecast_protocol::picture::I420;
 use shadecast_protocol::pose::{Fov, MAX_VIEW_ANGLE, Pose};
 use shadecast_protocol::time::WorldTime;
-use shadecast_server::encode::openh264::{EncoderSettings, OpenH264Encoder};
+use shadecast_server::encode::choice::Encoders;
+use shadecast_server::encode::openh264::EncoderSettings;
 use shadecast_server::encode::{AccessUnit, Encoder, Source, encode_one};
 use shadecast_server::pacing::quality::QualityOptions;
 use shadecast_shaders::twin::ycbcr;
@@ -62,13 +63,14 @@ impl Studio {
             QualityOptions::Auto => bail!("--renderer video needs --bitrate with a number, or --qp"),
         };
         let coder = |extent_texels: [u32; 2]| {
-            Coder::new(EncoderSettings {
+            let settings = EncoderSettings {
                 qp: quality.first_qp(),
                 fps: options.rate_hz.round().clamp(1.0, 60.0) as u32,
                 threads: 1,
                 loop_filter: true,
                 extent_texels,
-            })
+            };
+            Coder::new(&server.encoders, settings)
         };
         let depth_extent = extent.map(|side| side / depth::PIXELS);
         let depths = || anyhow::Ok([coder(depth_extent)?, coder(depth_extent)?]);
@@ -124,23 +126,23 @@ impl Studio {
 
 /// Encodes a stream, and decodes it as the client does.
 struct Coder {
-    encoder: OpenH264Encoder,
+    encoder: Box<dyn Encoder>,
     decoder: OpenH264Decoder,
 }
 
 impl Coder {
-    fn new(settings: EncoderSettings) -> anyhow::Result<Self> {
+    fn new(encoders: &Encoders, settings: EncoderSettings) -> anyhow::Result<Self> {
         let [width, height] = settings.extent_texels;
         let problem = || format!("a video of {width}x{height} pixels an eye");
         Ok(Self {
-            encoder: OpenH264Encoder::new(settings).with_context(problem)?,
+            encoder: encoders.encoder(settings).with_context(problem)?,
             decoder: OpenH264Decoder::new(settings.extent_texels).with_context(problem)?,
         })
     }
 
     fn code(&mut self, planes: I420, qp: u8, at_ns: i64) -> anyhow::Result<(AccessUnit, I420)> {
         self.encoder.set_qp(qp)?;
-        let unit = encode_one(&mut self.encoder, Source::Planes(planes), at_ns, false)?;
+        let unit = encode_one(self.encoder.as_mut(), Source::Planes(planes), at_ns, false)?;
         self.decoder.submit(&unit.bytes);
         let decoded = self.decoder.poll(Duration::ZERO).context("the decoder answers at once")??;
         let Arrived::Planes(decoded) = decoded else { bail!("the decoder gives planes") };
