@@ -63,7 +63,7 @@ pub(crate) struct ForwardArgs {
     /// Name of one of the scene's cameras
     #[arg(long, conflicts_with_all = ["position", "yaw", "pitch", "head_path"])]
     camera: Option<String>,
-    /// Name of the head path that the camera follows in scene time; every scene has still, turn, walk and stride
+    /// Name of the head path that the camera follows in scene time; every scene has still, turn, walk, stride, sit, peek and abrupt
     #[arg(long, conflicts_with_all = ["position", "yaw", "pitch", "window"])]
     head_path: Option<String>,
     /// Position of the camera in the stage: x,y,z in metres, y up, -z forward

@@ -53,7 +53,7 @@ pub(super) struct RunArgs {
     /// Head path (CSV) [default: a short walk]
     #[arg(long)]
     head: Option<PathBuf>,
-    /// A head path of the scene, by its name; every scene has still, turn, walk and stride
+    /// A head path of the scene, by its name; every scene has still, turn, walk, stride, sit, peek and abrupt
     #[arg(long, conflicts_with = "head")]
     head_path: Option<String>,
     /// Virtual seconds
