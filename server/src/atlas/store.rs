@@ -183,14 +183,14 @@ impl Store {
     }
 
     /// What a patch in view is shown from with this update, where its extent is so many pixels and blocks have `density` texels for one. A
-    /// copy that is too coarse, or coded coarsely for today, is given up, a few with each update, where it may be
-    /// judged.
+    /// copy that is too coarse, or coded coarsely for today, is given up, a few with each update, if its patch
+    /// `is_ahead` of the head.
     pub(crate) fn serve(
         &mut self,
         patch: ScenePatch,
         (update, density): (UpdateId, f32),
         pixels: [f32; 2],
-        is_judged: impl FnOnce() -> bool,
+        is_ahead: impl FnOnce() -> bool,
     ) -> Served {
         let newest_qp = self.qps.front().map(|(_, qp)| *qp);
         let Some(copy) = self.copies.get_mut(&patch) else { return Served::Atlas(None) };
@@ -205,7 +205,7 @@ impl Store {
         let is_coarse = copy.qp > FINE_QP && newest_qp.is_some_and(|qp| copy.qp >= qp + finer_steps);
         let (pixels, texels) = (copy.pixels, u64::from(copy.size_at(density).texels()));
         let is_due = copy.settled < update && (wider + higher >= most || is_coarse);
-        if is_due && texels <= self.renewable_texels && is_judged() {
+        if is_due && texels <= self.renewable_texels && is_ahead() {
             self.renewable_texels -= texels;
             self.give_up(patch);
             return Served::Atlas(Some(pixels));
@@ -289,7 +289,8 @@ impl Store {
     }
 
     /// The blocks in view that settle with an update: given with their blocks in the atlas, ascending. Each update goes on where the one
-    /// before had no room. They are `most_blocks` at most, and a part of the atlas or one, where blocks have so many texels for a pixel. `put` takes each with its place.
+    /// before had no room. They are `most_blocks` at most, and a part of the atlas at most, or one block. `density`: texels for a pixel that
+    /// blocks have. `put` takes each with its place.
     pub(crate) fn settle(
         &mut self,
         (update, most_blocks, density): (UpdateId, usize, f32),

@@ -44,9 +44,9 @@ impl Layout {
         served.clear();
         live.retain(|patch| {
             let state = &mut states[patch.index()];
-            // Views between here and there show what is behind the head by then, and stretch it.
-            let is_judged = || is_before(*world_from_head, geometry, *patch);
-            let served_from = store.serve(*patch, (update, density), state.pixels(), is_judged);
+            // While the head turns round, some of its views show what will soon be behind it. They say nothing of how large it is seen.
+            let is_ahead = || is_ahead(*world_from_head, geometry, *patch);
+            let served_from = store.serve(*patch, (update, density), state.pixels(), is_ahead);
             match served_from {
                 Served::Copy(block) => {
                     served.push(Placed { patch: *patch, block, is_around: false, is_hidden: false });
@@ -107,13 +107,13 @@ impl Layout {
         mut put: impl FnMut(ScenePatch, Block, PixelTexels),
     ) {
         let density = self.sized_for();
-        let Self { live, states, store, update: this, .. } = self;
+        let Self { live, states, store, update: newest, .. } = self;
         let with_pixel =
             |patch: ScenePatch, block: Block| put(patch, block, states[patch.index()].pixel(block));
         let in_atlas = live.iter().filter_map(|patch| {
             let state = &states[patch.index()];
             let pixels = [0, 1].map(|axis| state.pixels()[axis].max(state.copied_pixels[axis]));
-            let seen = UpdateId(update.0.saturating_sub(*this - state.last_seen));
+            let seen = UpdateId(update.0.saturating_sub(*newest - state.last_seen));
             Some(Settling { patch: *patch, block: state.block?, pixels, seen })
         });
         let settling = in_atlas.filter(|settling| may(settling.patch));
@@ -137,8 +137,8 @@ impl Layout {
     }
 }
 
-/// Whether a corner of a patch that stands lies where shading filters for a pixel of the display (`footprint.glsl`).
-fn is_before(world_from_head: Pose, geometry: &impl Geometry, patch: ScenePatch) -> bool {
+/// Whether a corner of a patch lies where shading filters for a pixel of the display (`footprint.glsl`). What moves counts as ahead.
+fn is_ahead(world_from_head: Pose, geometry: &impl Geometry, patch: ScenePatch) -> bool {
     let axis = world_from_head.orientation * Vec3::NEG_Z;
     vertices_of_patch(geometry, patch).any(|vertex| {
         geometry.static_position(vertex).is_none_or(|place| {

@@ -287,7 +287,7 @@ fn picture(results: &Path) -> String {
 fn quality_short(results: &Path) -> anyhow::Result<String> {
     let mut links = Vec::new();
     for latency_ms in quality::LATENCIES_MS {
-        let name = format!("quality-dragons9-{latency_ms}ms");
+        let name = long::name_against_video(latency_ms);
         let Some(found) = read(results, &name) else { continue };
         let found: Quality = serde_json::from_value(found).with_context(|| name)?;
         links.extend(found.links.into_iter().map(|link| (format!("{latency_ms} ms"), link)));

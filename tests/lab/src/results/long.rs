@@ -3,7 +3,7 @@
 
 mod against_video;
 
-pub(super) use against_video::names as names_against_video;
+pub(super) use against_video::{names as names_against_video, usual_name as name_against_video};
 
 use crate::experiments::abrupt;
 use crate::experiments::causes::{self, CAUSES, Cause};

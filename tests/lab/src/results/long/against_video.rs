@@ -54,9 +54,13 @@ impl Case {
     }
 }
 
-fn cases() -> Vec<Case> {
-    let mut cases = LATENCIES_MS.map(|latency_ms| Case { latency_ms, ..USUAL }).to_vec();
-    cases.extend(OTHER_HEADS.map(|head| Case { head, ..USUAL }));
+/// Those that differ in the latency alone.
+fn usual() -> [Case; LATENCIES_MS.len()] {
+    LATENCIES_MS.map(|latency_ms| Case { latency_ms, ..USUAL })
+}
+
+fn others() -> Vec<Case> {
+    let mut cases = OTHER_HEADS.map(|head| Case { head, ..USUAL }).to_vec();
     cases.extend(["peek", "abrupt"].map(|head| Case { head, latency_ms: FAR_MS, ..USUAL }));
     cases.extend(OTHER_SCENES.map(|scene| Case { scene, ..USUAL }));
     cases.push(Case { scene: COURTYARD, head: "peek", ..USUAL });
@@ -65,30 +69,36 @@ fn cases() -> Vec<Case> {
     cases
 }
 
-/// A job a case. Those that differ in the latency alone have the other atlases too.
+/// A job a case. The usual ones have the other atlases too.
 pub(super) fn jobs() -> Vec<Job> {
-    let job = |case: Case| {
-        let is_usual = case.name() == Case { latency_ms: case.latency_ms, ..USUAL }.name();
+    let job = |case: Case, compared: Compared| {
         Job::new(&case.name(), move |folder| {
             let Some((options, shown)) = case.options(folder)? else { return Ok(None) };
-            let compared = if is_usual { Compared::default() } else { Compared::with_videos_alone() };
             let links = [quality::link(case.latency_ms, case.lost_percent)];
             let found = quality::measure(&options, &shown, &links, &compared)?;
             print!("{found}");
             serde_json::to_value(found).context("a record").map(Some)
         })
     };
-    cases().into_iter().map(job).collect()
+    let of_usual = usual().map(|case| job(case, Compared::default()));
+    let of_others = others().into_iter().map(|case| job(case, Compared::with_videos_alone()));
+    of_usual.into_iter().chain(of_others).collect()
 }
 
 /// The names of all records, the usual ones first.
 pub fn names() -> Vec<String> {
-    cases().iter().map(Case::name).collect()
+    usual().iter().chain(&others()).map(Case::name).collect()
+}
+
+/// The name of the usual record over so many milliseconds.
+pub fn usual_name(latency_ms: f64) -> String {
+    Case { latency_ms, ..USUAL }.name()
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use shadecast_scene::load::load_head_path;
 
     #[test]
     fn names_say_what_is_not_as_usual() {
@@ -100,13 +110,9 @@ mod tests {
     #[test]
     fn every_head_that_is_named_is_there() {
         let folder = tempfile::tempdir().expect("a folder");
-        for case in cases().into_iter().filter(|case| !matches!(case.scene.source, LongSource::Asset(_))) {
+        for case in others().into_iter().filter(|case| !matches!(case.scene.source, LongSource::Asset(_))) {
             let (options, _) = case.options(folder.path()).expect("written").expect("made here");
-            if let (Head::Named(name), LongSource::Dragons(_) | LongSource::Courtyard) =
-                (&options.head, case.scene.source)
-            {
-                shadecast_scene::load::load_head_path(&options.scene, name).expect("it has this path");
-            }
+            load_head_path(&options.scene, case.head).expect("it has this path");
         }
     }
 }

@@ -238,6 +238,18 @@ pub(super) mod tests {
     }
 
     #[test]
+    fn a_link_that_loses_packets_is_a_group_of_its_own() {
+        let mut lossy = record(20.0, 6.0, 0.062, 0.073);
+        lossy["links"][0]["link"] = json!(quality::link(20.0, 1.0));
+        let records = [("quality-a", record(20.0, 6.0, 0.061, 0.072)), ("quality-b", lossy)];
+        let records = records.map(|(name, record)| (name.to_owned(), record));
+        let groups = groups(&BTreeMap::from(records)).expect("comparisons");
+        assert!(groups.iter().all(|group| group.points.len() == 1 && group.points[0].latency_ms == 20.0));
+        let titles: Vec<String> = groups.iter().map(|group| group.setting.title()).collect();
+        assert_eq!(titles.iter().filter(|title| title.contains("1% lost")).count(), 1, "{titles:?}");
+    }
+
+    #[test]
     fn records_of_one_setting_are_one_group_by_latency() {
         let groups = groups_of(&[
             ("quality-dragons9-20ms", record(20.0, 6.0, 0.061, 0.072)),
